@@ -67,7 +67,11 @@ def test_columns_that_look_like_a_gyro_are_named_where_there_is_none() -> None:
     extra = {f"gyro_{a}": raw.channels[n] for a, n in zip("xyz", "pqr", strict=True)}
     report = check([replace(raw, channels=others, extra=extra)], vehicle(SET))
     said = {u.check: u.reason for u in report.not_judged}
-    for name in ("attitude", "alignment", "motors"):
+    for name in ("attitude", "alignment"):
         assert said[name].startswith("no gyro, but gyro_x, gyro_y, gyro_z look like one")
-    bare = check([replace(raw, channels=others, extra={})], vehicle(SET))
+    still = {n: v for n, v in others.items() if not n.startswith("q")}
+    turning = check([replace(raw, channels=still, extra=extra)], vehicle(SET))
+    said = {u.check: u.reason for u in turning.not_judged}
+    assert said["motors"].startswith("no gyro, but gyro_x, gyro_y, gyro_z look like one")
+    bare = check([replace(raw, channels=still, extra={})], vehicle(SET))
     assert {u.reason for u in bare.not_judged if u.check == "motors"} == {"no gyro"}

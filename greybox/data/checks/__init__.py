@@ -38,6 +38,7 @@ from greybox.data.checks.finding import (
     Severity,
     Unjudged,
 )
+from greybox.data.checks.rates import shown_by
 from greybox.data.checks.view import View
 from greybox.data.dataset import Dataset, Flight, demand_names_once
 from greybox.data.logs import read_table
@@ -85,7 +86,7 @@ CHECKS: tuple[Check, ...] = (
     thrust.CHECK,
     excitation.CHECK,
 )
-"""All checks, in the order in which they are made: the motors are judged by gyros that are right."""
+"""All checks, in the order in which they are made: the motors are judged by rates that are right."""
 
 
 VEHICLE = "vehicle"
@@ -100,16 +101,21 @@ NAMES = tuple(
 
 FRAMES = (*(r.name for r in RELATIONS), "alignment", gravity.CHECK.name)
 """Checks that find axes, units or clocks wrong."""
-WRONG = "the gyro's axes, unit or clock are wrong"
+WRONG = "axes, unit or clock of the gyro are wrong, or of the attitude where there is none"
 WRONG_FORCE = "the accelerometer's unit or axes are wrong"
 
 
-def _of_a_wrong_gyro(findings: Iterable[Finding]) -> set[str]:
-    """The flights whose gyro judges no motors, neither their own nor those of the craft."""
+def _of_wrong_rates(findings: Iterable[Finding], views: Iterable[View]) -> set[str]:
+    """The flights whose gyro, or attitude where there is none, judges no motors, neither their own
+    nor those of the craft."""
+    named = {"rate": ("p, q, r",), "attitude": ("p, q, r", "qw"), "": ()}
+    by = {v.name: named[shown_by(v)] for v in views}
     return {
         f.flight
         for f in findings
-        if f.severity == "blocking" and f.check in FRAMES and "p, q, r" in f.where
+        if f.severity == "blocking"
+        and f.check in FRAMES
+        and any(n in f.where for n in by[f.flight])
     }
 
 
@@ -150,7 +156,7 @@ def check(
         for one in CHECKS:
             wrong, why = set[str](), WRONG
             if one is motors.CHECK:
-                wrong = _of_a_wrong_gyro(findings)
+                wrong = _of_wrong_rates(findings, views)
             elif one is thrust.CHECK:
                 wrong, why = _of_a_wrong_accelerometer(findings), WRONG_FORCE
             unjudged += [Unjudged(check=one.name, flight=n, reason=why) for n in sorted(wrong)]

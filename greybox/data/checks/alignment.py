@@ -15,9 +15,10 @@ import numpy as np
 
 from greybox.data.checks.delay import Delays, delays
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged, per_flight
+from greybox.data.checks.rates import shown_by
 from greybox.data.checks.relations import CLEAR
 from greybox.data.checks.signals import best_lag, bridged, correlation, shifted, smoothed
-from greybox.data.checks.torque import Torque, torque_regression
+from greybox.data.checks.torque import LARGEST_LAG, Torque, torque_regression
 from greybox.data.checks.view import View
 from greybox.data.drive import LATE_SPEEDS
 
@@ -33,7 +34,8 @@ SAID = 1.0
 """Offsets, and differences between axes, are said from here on [samples]."""
 
 ANSWERS = 0.05
-"""Share of variance that commands must explain before a delay is stated."""
+"""Share of variance that commands must explain before a delay is stated, if they tell it to within
+what a craft can have."""
 
 
 def run(view: View) -> Iterator[Finding | Unjudged]:
@@ -184,7 +186,7 @@ def _offset(view: View, told: Delays) -> Finding:
 def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding | Unjudged]:
     """The instant at which each channel answers, relative to what drives the rotors. A fault is one
     of `motion` against it."""
-    if not (view.has("rate") and view.drives):
+    if not (shown_by(view) and view.drives):
         return
     drive = "the commands" if view.commanded else "the rotor speeds"
     found = torque_regression(view)
@@ -194,7 +196,7 @@ def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding 
         return
     if found is not None:
         for axis, name in enumerate(("p", "q", "r")):
-            if found.share[axis] >= ANSWERS:
+            if found.share[axis] >= ANSWERS and CLEAR * found.lag_error[axis] < LARGEST_LAG:
                 evidence[f"{name}_s"] = float(found.lag[axis])
     rolls = [evidence[k] for k in ("p_s", "q_s") if k in evidence]
     if rolls and offset is not None:
@@ -209,6 +211,7 @@ def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding 
         return
     # A speed acts at once, and is often logged late: a fit finds by how much.
     late = view.commanded and bool(rolls) and max(rolls) < 0.5 * view.dt
+    late = late and found is not None and float(found.lag_error[:2].max()) < view.dt
     yield Finding(
         check="alignment",
         severity="warning" if late else "info",

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
+from greybox.data.checks.rates import body_rates, shown_by, windows
 from greybox.data.checks.signals import smoothed
-from greybox.data.checks.torque import SEEN, SEEN_YAW, expected_signs, torque_regression
+from greybox.data.checks.torque import expected_signs, torque_regression
 from greybox.data.checks.view import View
 
 LEAST_RATE = 0.03
@@ -51,8 +52,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         evidence[f"{name}_command_rms"] = size
         if size < LEAST_COMMAND and np.any(row) and name not in seen:
             still.append(f"{name} command")
-    if view.has("rate"):
-        rate = view.group("rate")
+    if shown_by(view):
+        rate, _ = body_rates(view, windows(view)[-1])
         for name, column in zip(("p", "q", "r"), rate.T, strict=True):
             known = column[np.isfinite(column)]
             size = float(known.std()) if known.size else 0.0
@@ -82,12 +83,10 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
 def _seen(view: View) -> set[str]:
     """The axes whose motion shows what the commands do, however little they move: a quiet craft of
     much torque needs hardly any command."""
-    found = torque_regression(view) if view.has("rate") else None
+    found = torque_regression(view)
     if found is None:
         return set()
-    least = (SEEN, SEEN, SEEN_YAW)
-    axes = zip(("roll", "pitch", "yaw"), found.share, least, strict=True)
-    return {name for name, share, some in axes if share >= some}
+    return {a for a, seen in zip(("roll", "pitch", "yaw"), found.seen, strict=True) if seen}
 
 
 CHECK = Check(name="excitation", question="Does every axis move enough?", run=per_flight(run))

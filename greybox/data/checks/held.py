@@ -14,9 +14,10 @@ import numpy as np
 
 from greybox.data.channel import command_names, group_names
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged, per_flight
+from greybox.data.checks.rates import HALF_WINDOW
 from greybox.data.checks.relations import CLEAR, jackknife
 from greybox.data.checks.signals import FloatArray, IntArray
-from greybox.data.checks.torque import HALF_WINDOW, torque_regression
+from greybox.data.checks.torque import torque_regression
 from greybox.data.checks.view import View
 from greybox.data.drive import drive_names
 from greybox.data.repeats import Held, held, repeated, said

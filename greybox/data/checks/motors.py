@@ -16,6 +16,7 @@ import numpy as np
 
 from greybox.data.channel import command_names
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
+from greybox.data.checks.rates import shown_by
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, jackknife
 from greybox.data.checks.strength import strength_of
 from greybox.data.checks.together import alone_and_together
@@ -23,8 +24,6 @@ from greybox.data.checks.torque import (
     LEAST as INSTANTS,
 )
 from greybox.data.checks.torque import (
-    SEEN,
-    SEEN_YAW,
     Sums,
     Torque,
     directions,
@@ -63,10 +62,10 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     best excited weigh most."""
     found: dict[str, Torque] = {}
     for view in views:
-        torque = torque_regression(view) if view.has("rate") and view.drives else None
+        torque = torque_regression(view) if shown_by(view) and view.drives else None
         if torque is None:
             yield Unjudged(check="motors", flight=view.name, reason=_lacking(view))
-        elif (torque.share[:2] < SEEN).any():
+        elif not torque.seen[:2].all():
             reason = "the commands explain too little of the angular acceleration (share "
             reason += ", ".join(f"{s:.3f}" for s in torque.share) + ")"
             yield Unjudged(check="motors", flight=view.name, reason=reason)
@@ -80,7 +79,7 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     yield from said
     left = {n: t for n, t in found.items() if n not in {f.flight for f in said}}
     if np.any(promised[2]):
-        turning = {n: t for n, t in left.items() if t.share[2] >= SEEN_YAW}
+        turning = {n: t for n, t in left.items() if t.seen[2]}
         yield from _told(turning, lambda some: _spins(some, promised))
         reason = "too little yaw motion to see the spins"
         yield from (
@@ -95,14 +94,16 @@ def _lacking(view: View) -> str:
     """Why the torques of a flight cannot be seen."""
     if view.flight is None:
         return "no airborne stretch"
-    if not view.has("rate"):
+    shown = shown_by(view)
+    if not shown:
         return view.lacks("rate", "gyro")
     if not view.drives:
         return "neither all commands nor all rotor speeds"
+    rates = "gyro" if shown == "rate" else "rates by the attitude"
     driven = "commands" if view.commanded else "rotor speeds"
     return (
-        f"fewer than {INSTANTS} instants with gyro, {driven} and specific force all around them: too "
-        "short, or too much is missing"
+        f"fewer than {INSTANTS} instants with {rates}, {driven} and specific force all around them: "
+        "too short, or too much is missing"
     )
 
 
@@ -168,12 +169,14 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     best = total.agreement(promised[:, order])[:, 0]
 
     def left(part: Sums) -> FloatArray:
+        """What the other order leaves as a share of what the given one does. Its error is that of
+        the share: a logarithm is the less certain, the better the other fits."""
         other, given = (
             1.0 - part.agreement(p)[:2].mean(axis=0) for p in (promised[:, order], promised)
         )
-        return np.log((other + LEAST) / (given + LEAST))
+        return np.asarray((other + LEAST) / (given + LEAST))
 
-    far = float(left(total)[0]) + CLEAR * jackknife(left(sums.left_out)) < np.log(LEFT)
+    far = float(left(total)[0]) + CLEAR * jackknife(left(sums.left_out)) < LEFT
     moved = [f"{names[i]} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
     says = (
         f"(of what the commands explain, roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} "
@@ -181,7 +184,7 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     )
     fix = (
         f"compare rotor positions and the fields of {table} with the craft, and the "
-        "signs of the gyro axes"
+        "signs of the axes of gyro or attitude"
     )
     evidence["agreement_other_order"] = float(best[:2].mean())
     if moved and far and bool((best[:2] >= AGREE).all()):
@@ -192,7 +195,7 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
             message=f"the motor order is wrong: {', '.join(moved)} {says}",
             evidence=evidence,
             fix=f"reorder the fields of {table} or the [[rotor]] tables (or correct the "
-            "sign of a gyro axis)",
+            "sign of an axis of gyro or attitude)",
         )
     if bool((agreement[:2] >= AGREE).all()):
         return None

@@ -25,6 +25,7 @@ from greybox.data.airframe import (
 from greybox.data.checks.attitude import DEGREES
 from greybox.data.checks.attitude import RELATION as ATTITUDE
 from greybox.data.checks.kinematics import related
+from greybox.data.checks.rates import shown_by
 from greybox.data.checks.relations import CLEAR, factor, jackknife
 from greybox.data.checks.torque import Sums
 from greybox.data.checks.view import FloatArray, View
@@ -69,15 +70,17 @@ class Strength:
         if not self.told or not (all(ratio + error < least) or all(ratio - error > most)):
             return None
         size = float(np.exp(np.log(ratio).mean()))
-        vouched = all(_vouched(v) for v in views)
+        witnesses = {_witness(v) for v in views}
+        vouched = "" not in witnesses
         file = self._of_the_file(size)
         said = f"angular acceleration {size:.3g} times what arms, thrust and inertia promise"
+        said += "".join(sorted(witnesses)) if vouched else ""
         evidence = {"found_over_promised": size, "error": float(error.max()) / CLEAR}
         if file or vouched:
             return Wrong(
                 claim="file",
                 where="numbers of the vehicle file" if file else "commands and vehicle file",
-                message=f"{said}{', and the attitude agrees with the gyro' if vouched else ''}: "
+                message=f"{said}: "
                 + (file or "one of these, or the unit of the commands, is wrong"),
                 evidence=evidence,
                 fix="correct the vehicle file: metres, kg m^2, N (greybox vehicle check)"
@@ -117,11 +120,15 @@ def _times(factor_of: float) -> str:
     return f"{times:g} times too {way}"
 
 
-def _vouched(view: View) -> bool:
-    """Whether the attitude says that the gyro is in rad/s: nearer to that than to another unit."""
+def _witness(view: View) -> str:
+    """What says that the rates are in rad/s, as the end of a message: an attitude has no unit, nor
+    rates of it; to a gyro it is nearer than to one in another unit. Empty where nothing does."""
+    if shown_by(view) == "attitude":
+        return ", by the attitude"
     found = related(ATTITUDE, view)
     size = None if isinstance(found, str) else factor(found.given)
-    return size is not None and abs(math.log(size.value)) < 0.5 * math.log(DEGREES)
+    near = size is not None and abs(math.log(size.value)) < 0.5 * math.log(DEGREES)
+    return ", and the attitude agrees with the gyro" if near else ""
 
 
 def strength_of(vehicle: Airframe, sums: Sums, promised: FloatArray) -> Strength | None:

@@ -4,25 +4,24 @@ strongly, how late.
 d(omega)/dt = B (u_i^2, late by a lag) + D omega + E (a_x, a_y) + c, per axis. Rates damp, and the
 lateral specific force stands for the velocity of the craft (drag): their moments would otherwise be
 read as a property of the rotors, or of a clock, under feedback. Gaps are joined up where they are
-no longer than the span of a derivative, or than the pace of a slower stream.
+no longer than the span of a derivative, or than the pace of a slower stream. Without a gyro the
+attitude shows the rates (`rates.py`).
 """
 
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.data.checks.block_sums import BlockSums
+from greybox.data.checks.rates import body_rates, lateral_force, shown_by, windows
 from greybox.data.checks.signals import derivative, joined_up, peak, shifted, smoothed
 from greybox.data.checks.view import FloatArray, View
 from greybox.data.drive import LATE_SPEEDS
-
-HALF_WINDOW = 0.015
-"""Rates are differentiated over twice this time [s]."""
 
 CLEARLY = 1.2
 """An implausible lag must explain this many times as much as the best plausible one, ..."""
@@ -31,6 +30,10 @@ LEFT = 0.5
 
 LARGEST_LAG = 0.12
 """Lags from command to angular acceleration that a craft can have [s]."""
+
+LATE_POSE = 0.1
+"""How much later still an attitude may show it [s]: a pose comes over a network, or out of a
+filter."""
 
 SEARCHED = (-0.2, 0.35)
 """Lags that are searched [s]: outside the plausible ones the streams are not on one clock."""
@@ -44,7 +47,10 @@ SEEN_YAW = 0.02
 """The same before one on yaw."""
 
 LEAST = 200
-"""Instants that must have commands, gyro and specific force about them."""
+"""Instants that must have commands, gyro or attitude, and specific force about them."""
+
+BY_CHANCE = 2.0
+"""What the best lag explains of noise is so many times what one lag does."""
 
 BLOCKS = 8
 """Blocks of time into which a flight is cut."""
@@ -128,7 +134,8 @@ class Torque:
     `share` (3,) of variance that they explain beyond everything else, `sums` of the regression over
     blocks of time. These use lags that a craft can have; `searched_lag` [s] and `searched_share`
     are the best of roll and pitch together over all lags, and `plausible_share` the best of these
-    over the `plausible` ones, from the first to the second [s].
+    over the `plausible` ones, from the first to the second [s]. Of noise the commands would explain
+    the share `chance`. Lags about as likely as that found lie `lag_error` (3,) [s] from it, rms.
     """
 
     gains: FloatArray
@@ -139,6 +146,13 @@ class Torque:
     searched_share: float
     plausible_share: float
     plausible: tuple[float, float] = (0.0, LARGEST_LAG)
+    chance: float = 0.0
+    lag_error: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def seen(self) -> npt.NDArray[np.bool_]:
+        """Whether the commands explain enough of roll, pitch and yaw (3,) for a verdict."""
+        return np.asarray(self.share >= np.maximum((SEEN, SEEN, SEEN_YAW), self.chance))
 
     @property
     def misaligned(self) -> bool:
@@ -147,6 +161,7 @@ class Torque:
         outside = not earliest - 1e-9 <= self.searched_lag <= latest + 1e-9
         more = self.searched_share > CLEARLY * self.plausible_share
         less = 1.0 - self.searched_share < LEFT * (1.0 - self.plausible_share)
+        more = more and self.searched_share > self.plausible_share + self.chance
         return outside and (more or less) and self.searched_share > 0.15
 
 
@@ -176,16 +191,25 @@ def torque_regression(view: View) -> Torque | None:
 
 
 def _regression(view: View) -> Torque | None:
+    """Over the window that shows most of the weaker of roll and pitch beyond chance: which rotor
+    turns what is free in each, so that the choice prefers no order."""
+    if not shown_by(view):
+        return None
+    found = [t for half in windows(view) if (t := _over(view, half)) is not None]
+    return max(found, key=lambda t: float(t.share[:2].min()) - t.chance, default=None)
+
+
+def _over(view: View, half: int) -> Torque | None:
+    """The regression with rates that are taken and differentiated over twice `half` samples."""
     dt = view.dt
-    half = max(1, round(HALF_WINDOW / dt))
-    rate = joined_up(view.group("rate"), half)
+    rate, mean = body_rates(view, half)
     turn = derivative(rate, dt, half)
-    u = smoothed(joined_up(view.drive, half) ** 2, half)
-    n = u.shape[1]
+    # What drives the craft is averaged as its motion is.
+    u = smoothed(smoothed(joined_up(view.drive, half) ** 2, half), mean)
     other = np.column_stack([smoothed(rate, half), np.ones(u.shape[0])])
-    if view.has("specific_force"):
-        push = joined_up(view.joined(["ax", "ay"]), half)
-        other = np.column_stack([smoothed(push, 2 * half), other])
+    push = lateral_force(view, half)
+    if push is not None:
+        other = np.column_stack([push, other])
     lags = np.arange(round(SEARCHED[0] / dt), round(SEARCHED[1] / dt) + 1)
     known = np.isfinite(turn).all(axis=1) & np.isfinite(other).all(axis=1)
     for lag in (lags[0], 0, lags[-1]):
@@ -196,19 +220,10 @@ def _regression(view: View) -> Torque | None:
     total = ((y - y.mean(axis=0)) ** 2).sum(axis=0)
     basis = _basis(other[known])
     rest = _without(basis, y)
-    shares, gains = np.zeros((len(lags), 3)), np.zeros((len(lags), 3, n))
     rows = np.flatnonzero(known)
-    level = u[rows].mean(axis=0)  # a constant is among the others; small numbers square exactly
-    for i, lag in enumerate(lags):
-        x = u[rows - lag] - level
-        told, whole = basis.T @ x, x.T @ x
-        xx, xy = whole - told.T @ told, x.T @ rest
-        b = _solve(xx, xy, np.diag(whole))
-        shares[i] = (b * (2.0 * xy - xx @ b)).sum(axis=0) / np.maximum(total, 1e-300)
-        gains[i] = b.T
-    # A speed acts at once: what is between it and the motion is the clock of the log.
-    earliest, latest = (0.0, LARGEST_LAG) if view.commanded else (-LATE_SPEEDS, LATE_SPEEDS)
-    times = lags * dt
+    shares, gains = _at_lags(u, rows, lags, basis, rest, total)
+    earliest, latest = _plausible(view)
+    times = np.asarray(lags * dt, dtype=np.float64)
     plausible = np.flatnonzero((times >= earliest - 1e-9) & (times <= latest + 1e-9))
     best = plausible[shares[plausible].argmax(axis=0)]
     sums = [
@@ -217,6 +232,7 @@ def _regression(view: View) -> Torque | None:
     ]
     axes = np.arange(3)
     both = shares[:, :2].mean(axis=1)
+    alone = len(rows) / (2 * half)  # rows within a window say the same
     return Torque(
         gains=gains[best, axes],
         lag=np.array([_between(shares[:, a], lags, int(best[a])) * dt for a in axes]),
@@ -226,7 +242,50 @@ def _regression(view: View) -> Torque | None:
         searched_share=float(both.max()),
         plausible_share=float(both[plausible].max()),
         plausible=(earliest, latest),
+        chance=BY_CHANCE * u.shape[1] / alone,
+        lag_error=_lag_error(shares, times, times[best], alone),
     )
+
+
+def _at_lags(
+    u: FloatArray,
+    rows: npt.NDArray[np.int64],
+    lags: npt.NDArray[np.int64],
+    basis: FloatArray,
+    rest: FloatArray,
+    total: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """(share (L, 3) of a sum of squares `total` (3,) that u (N, n), late by each lag, explains of
+    what the `basis` of everything else leaves (M, 3) in these rows, its gains (L, 3, n))."""
+    n = u.shape[1]
+    shares, gains = np.zeros((len(lags), 3)), np.zeros((len(lags), 3, n))
+    level = u[rows].mean(axis=0)  # a constant is among the others; small numbers square exactly
+    for i, lag in enumerate(lags):
+        x = u[rows - lag] - level
+        told, whole = basis.T @ x, x.T @ x
+        xx, xy = whole - told.T @ told, x.T @ rest
+        b = _solve(xx, xy, np.diag(whole))
+        shares[i] = (b * (2.0 * xy - xx @ b)).sum(axis=0) / np.maximum(total, 1e-300)
+        gains[i] = b.T
+    return shares, gains
+
+
+def _lag_error(
+    shares: FloatArray, times: FloatArray, lag: FloatArray, samples: float
+) -> FloatArray:
+    """How far (3,) [s] lags that are about as likely as the one found (3,) lie from it, by shares
+    (L, 3) at all lags (L,) of so many independent samples."""
+    likely = -0.5 * samples * np.log(np.clip(1.0 - shares, 1e-9, 1.0))
+    likely = np.exp(likely - likely.max(axis=0))
+    away = (times[:, None] - lag) ** 2
+    return np.asarray(np.sqrt((likely * away).sum(axis=0) / likely.sum(axis=0)))
+
+
+def _plausible(view: View) -> tuple[float, float]:
+    """Lags from what drives the rotors to the motion [s] between which those of a log lie."""
+    # A speed acts at once: what is between it and the motion is the clock of the log.
+    earliest, latest = (0.0, LARGEST_LAG) if view.commanded else (-LATE_SPEEDS, LATE_SPEEDS)
+    return earliest, latest + (LATE_POSE if shown_by(view) == "attitude" else 0.0)
 
 
 def _between(scores: FloatArray, lags: npt.NDArray[np.int64], best: int) -> float:
