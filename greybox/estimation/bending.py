@@ -16,7 +16,6 @@ from greybox.estimation.engine import Engine
 from greybox.estimation.record import Record
 from greybox.symbolic import BoolArray, FloatArray
 
-
 UNUSUAL = 2.0
 """Times the spread that a model expects, from which on a start is asked: one unknown more for every
 such error costs time."""
