@@ -406,7 +406,8 @@ class _Comparison:
         return (options.but(per_flight=(THRUST,)), again) if differ else (options, chosen)
 
     def _criterion(self, options: FitOptions, chosen: Candidate) -> tuple[FitOptions, Candidate]:
-        """Multi-step errors in place of the likelihood where that foretells better by its error."""
+        """Multi-step errors in place of the likelihood where that foretells better by its error;
+        where the likelihood has its maximum is asked then, too (`two_horizons`)."""
         if "predictor" in self.setting.given.choices:
             return options, chosen
         if chosen.ahead_score is None:
@@ -429,7 +430,9 @@ class _Comparison:
             f"the likelihood, the difference {_within(error)}",
             "--predictor",
         )
-        return (options.but(predictor="multi-step") if chosen.looks_ahead else options), chosen
+        if not chosen.looks_ahead:
+            return options, chosen
+        return options.but(predictor="multi-step"), self.trials.ended(chosen, options)
 
     def _started(self, options: FitOptions, chosen: Candidate) -> FitOptions:
         """The final fit starts where the comparison ended; what ended at its null is held there."""

@@ -20,6 +20,7 @@ from greybox.automatic.pieces import first_parts
 from greybox.automatic.sets import BASE
 from greybox.automatic.setting import Given
 from greybox.automatic.trials import QUICK, Say
+from greybox.automatic.two_horizons import with_one_step
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.conditioning import condition
@@ -180,7 +181,8 @@ def fit_decided(
     decisions = [*prepared.decisions(), *decided.decisions]
     recipe: Recipe = replace(decided.recipe, rate=prepared.rate)
     found, recipe = _carried_out(vehicle, prepared.data, recipe, decisions, said, say, progress)
-    return _with_what_flights_tell(vehicle, prepared.data, found, recipe, decisions, said, say)
+    found = _with_what_flights_tell(vehicle, prepared.data, found, recipe, decisions, said, say)
+    return with_one_step(found, decided.candidate)
 
 
 def _carried_out(

@@ -28,6 +28,8 @@ from greybox.statistics.evidence import FELT
 
 QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
 """Solver of the comparison: ends within about half a standard error of the optimum."""
+TO_THE_END = LevenbergMarquardt(tolerance=0.2, max_iterations=100)
+"""... of the likelihood of a set that was chosen: most steps were made."""
 WORTH = 0.05
 """Share of its squared error by which a larger set must improve a smaller one: less is worth
 nothing."""
@@ -158,6 +160,13 @@ class Trials:
         except GreyboxError as error:
             self.say(f"  {name}, errors ahead: {error}")
             return found
+
+    def ended(self, chosen: Candidate, options: FitOptions) -> Candidate:
+        """`chosen` with a likelihood that ended at its maximum, or as near as it comes."""
+        if chosen.likelihood.converged:
+            return chosen
+        begun = self.by_likelihood(chosen.steps, options, chosen, solver=TO_THE_END)
+        return chosen if begun is None else replace(chosen, likelihood=begun.likelihood)
 
     def without_unfelt(self, chosen: Candidate, options: FitOptions) -> Candidate:
         """`chosen` without what nothing feels, if that is `plainer`."""

@@ -26,6 +26,7 @@ from greybox.errors import GreyboxError
 from greybox.estimation.covariance import FEWEST_BLOCKS
 from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.estimation.laplace import at_bound
+from greybox.estimation.prior import pull_left
 from greybox.estimation.problem import Problem
 from greybox.estimation.result import Fit
 from greybox.model.absence import absence, not_offered
@@ -100,9 +101,15 @@ def _parabola(
     for i in of_causes:
         sigma[i] = min(sigma[i], priors[names[i]][1])
     prior = np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0
+    pulls = _pull_of_declared(wide, at)
+    # What flights deny may be another craft's: it asks for no cause that brings it nearer.
+    squared = np.divide(pulls**2, prior, out=np.zeros_like(prior), where=prior > 0)
+    lost = 1.0 - np.minimum(pull_left(squared), 1.0)
+    lost[n:] = 0.0
+    prior *= 1.0 - lost
     information = value.data_hessian + np.diag(prior)
-    gradient = value.gradient.copy()
-    gradient[n:] -= _pull_of_declared(wide, at)[n:]
+    gradient = value.gradient - lost * pulls
+    gradient[n:] -= pulls[n:]
     # A craft has no such effect; but what the model has and the flights hold at its bound, or what
     # a wrong clock makes of an effect, lies beyond.
     past = {e.name for e in effects if e.beyond}

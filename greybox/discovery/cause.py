@@ -7,6 +7,7 @@ is absent and a prior about it, so that the evidence for any set of them is defi
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -107,13 +108,15 @@ class Causes(ABC):
 
     def prior(self, d: Parameter) -> Prior | None:
         """That of a parameter where it is not what its declaration says. How large an effect is
-        nobody knows but by its order."""
+        nobody knows but by its order; what was stated may be another craft's."""
         if d.name in self.known:
             return Prior(*self.known[d.name])
         if (own := self.prior_of(d.name)) is not None:
             return Prior(*own, long_tails=d.name.split(".")[0] in self.effects)
         if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
             return Prior(d.nominal, RULES.typical * d.scale)
+        if 0.0 < d.sigma < math.inf:
+            return Prior(d.nominal, d.sigma, long_tails=True, normal_core=True)
         return None
 
 

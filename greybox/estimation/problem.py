@@ -523,6 +523,7 @@ def _declared(
         mean=prior.mean,
         sigma=prior.sigma if prior.sigma > 0 else np.inf,
         long_tails=prior.long_tails,
+        normal_core=prior.normal_core,
         scale=d.scale,
         unit=d.unit,
         origin=np.nan if own is None else own,

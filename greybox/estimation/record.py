@@ -18,6 +18,7 @@ from greybox.estimation.channel_pattern import Pattern, pattern_of
 from greybox.estimation.engine import Engine, IntArray, Samples
 from greybox.model.dynamics import Dynamics
 from greybox.model.noise import lasting_errors
+from greybox.model.state_blocks import usual_of
 from greybox.symbolic import BoolArray, FloatArray
 
 REACH = 50
@@ -126,6 +127,7 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = START_S
     numbers = {n: v for n, v in segment.extra.items() if is_numeric(v)} | dict(segment.channels)
     start = {n: v[:few] for n, v in numbers.items()}
     start["t"] = segment.t[:few]
+    start |= {usual_of(n): u[:, i].mean(keepdims=True) for i, n in enumerate(dynamics.inputs.names)}
     x0, sigma = dynamics.initial_state(start)
     return Record(
         flight=segment.flight,

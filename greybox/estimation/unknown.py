@@ -20,7 +20,7 @@ class Unknown:
 
     `start`, `lower` and `upper` are in the unit of the unknown (a noise level: in its natural
     logarithm), `mean` and `sigma` those of its prior (sigma infinite: no prior), which is normal
-    or has `long_tails` (see `greybox.estimation.prior`), `scale` is its typical size. `origin` is
+    or has `long_tails`, a `normal_core` within (see `greybox.estimation.prior`), `scale` is its typical size. `origin` is
     the value at which the factor that it stands for vanishes (mass: 0, a share on top of a mass:
     -1), not a number where it is none.
     """
@@ -37,6 +37,7 @@ class Unknown:
     unit: str
     origin: float = math.nan
     long_tails: bool = False
+    normal_core: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -49,7 +49,7 @@ from greybox.model.sensor import Sensor, first_complete
 from greybox.model.sensor_clocks import OWN, TELEMETRY, Instant, Passage, SensorClocks
 from greybox.model.sensors import SENSORS, USUAL
 from greybox.model.staged_effects import StagedEffects
-from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start_of
+from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start_of, usual_of
 from greybox.model.vehicle import Vehicle
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
@@ -553,7 +553,8 @@ class PhysicsModel(Shown):
     # ---------------------------------------------------------------- start of a flight
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """What first samples say; else level, at rest, memories zero, rotors at their command.
+        """What first samples say; else level, at rest, memories zero, rotors at their command: to a
+        tenth, and to how far that is from the usual one, for a log may begin when a command jumps.
 
         Sensors say so whether the model takes measurements from them or not.
         """
@@ -568,9 +569,14 @@ class PhysicsModel(Shown):
         values.append(np.zeros(len(sizes)))
         sigma.append(sizes)
         if self._has_lag:
-            u = first_complete(first_columns(start, self.inputs.names[: self._n]))
-            values += [np.full(self._n, 0.5) if u is None else u] * self._copies
-            sigma.append(np.full(self._n * self._copies, 0.1))
+            names = self.inputs.names[: self._n]
+            u = first_complete(first_columns(start, names))
+            u = np.full(self._n, 0.5) if u is None else u
+            usual = np.array(
+                [float(start.get(usual_of(n), u[i : i + 1])[0]) for i, n in enumerate(names)]
+            )
+            values += [u] * self._copies
+            sigma += [np.hypot(0.1, usual - u)] * self._copies
         return np.concatenate(values), np.concatenate(sigma)
 
     @property

@@ -60,6 +60,11 @@ def first_times(start: Mapping[str, FloatArray]) -> FloatArray:
     return np.asarray(start.get("t", np.array([0.0])))
 
 
+def usual_of(name: str) -> str:
+    """Under which name the first samples hold the mean of a column over the whole segment."""
+    return f"usual {name}"
+
+
 def first_columns(start: Mapping[str, FloatArray], names: Sequence[str]) -> FloatArray:
     """First samples of named channels, (n, columns); one row of NaN where they are not all of one
     length."""

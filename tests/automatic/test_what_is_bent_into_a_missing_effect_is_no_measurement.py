@@ -19,7 +19,7 @@ from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.files import load_model, save_model
 from greybox.statistics.rivals import Form
-from tests.automatic.craft import RATES, flights, flown, plant, vehicle
+from tests.automatic.craft import IMU, RATES, flights, flown, plant, vehicle
 
 DAMPING = 5e-5
 """Of the air against rotation [N m s], which the model lacks."""
@@ -62,6 +62,19 @@ def test_it_is_said_first_and_what_the_flights_want(damped):
     lines = held.summary().splitlines()
     assert lines.index(f"warning: {held.covariance.form}") == 2
     assert held.summary().count(held.covariance.form) == 1
+
+
+def test_a_stated_number_that_flights_deny_asks_for_no_effect():
+    """All numbers together go with the mass: a payload would bring any of them nearer to a wrong
+    statement."""
+    data = flights(IMU)
+    effects = (*EFFECTS, "accelerometer_bias")
+    model = build_model(vehicle(mass=0.01), data.channels, effects, sample_time=data.flights[0].dt)
+    wrong = {"inertia.xx": (0.86e-5, 0.057e-5)}  # truth 1.43e-5
+    plain = fit(model, data, fixed=["mass"], considered=["mass"], priors=wrong)
+    held = with_rivals(plain, data)
+    assert not held.covariance.form
+    assert held["thrust.c2"].std == plain["thrust.c2"].std
 
 
 def form_of(*causes: str, log_odds: float = 50.0) -> Form:

@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
+from greybox.estimation.bending import bent
 from greybox.estimation.gain import Linearisation, Riccati, linearisation_at
 from greybox.estimation.lost_commands import LostCommands, any_lost, lost_commands
 from greybox.estimation.predictor import Block, Predictor, Prepared_co
 from greybox.estimation.predictors.simulation import start_of
-from greybox.estimation.settling import RecordGains, Settling
+from greybox.estimation.settling import READINGS, SOON, RecordGains, Settling
 from greybox.estimation.solver import IndexArray
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -175,7 +176,7 @@ class Innovation(StationaryGain[InnovationPrepared]):
 
     def told(self, problem: Problem) -> list[BoolArray]:
         """The initial errors that the linearisation at nominal parameters and noise levels lets the
-        samples tell."""
+        samples tell, and that are within it."""
         prepared, d = problem.prepared(self), problem.dynamics
         x, window = prepared.reference
         p = np.array([q.nominal for q in d.parameters])
@@ -185,7 +186,10 @@ class Innovation(StationaryGain[InnovationPrepared]):
             r=d.sensor_scale() ** 2,
             weak=prepared.weak,
         )
-        return [nominal.told(r) | r.lasting for r in problem.records]
+        told = [nominal.told(r) for r in problem.records]
+        samples = max(READINGS, round(SOON / problem.dt))
+        bends = [bent(problem.engine, r, p, d.sensor_scale(), samples) for r in problem.records]
+        return [(t & ~b) | r.lasting for t, b, r in zip(told, bends, problem.records, strict=True)]
 
     def settling(self, problem: Problem, theta: FloatArray, slopes: bool) -> Settling:
         """The filter at `theta`; per-flight parameters at their base values. Slopes are in local
