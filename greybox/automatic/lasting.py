@@ -3,7 +3,8 @@
 Disturbance states hold gusts, and whatever else the model lacks. Of a force along the thrust that
 lasts nobody can say whether it is not thrust: it is known no better than that, and with it what is
 told by its side, as inertias and drag. The errors hold that. And a push that changes for good within
-a flight is no gust: a load, a rotor, a battery. What is said of both comes with the fit.
+a flight is no gust: a load, a rotor, a battery. What that moves is no measurement, which the errors
+hold as well (`greybox.automatic.shifted`). What is said of both comes with the fit.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.automatic.changed import changes, lasting_share, said_of_changes, unnamed
+from greybox.automatic.shifted import with_shift
 from greybox.automatic.widened import HELD, doubted, moved_away, no_measurement, widened
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
@@ -23,8 +25,8 @@ from greybox.model.layer import physics_of
 
 
 def with_lasting(found: Fit, data: Dataset) -> Fit:
-    """The fit to `data` with errors that hold a force along the thrust that lasts, and with what
-    changed for good in words. As it was where nothing lasts, where it did not converge and where the
+    """The fit to `data` with errors that hold a force along the thrust that lasts and what a change
+    for good moves, and with what changed in words. As it was where nothing lasts, where it did not converge and where the
     motion is not measured."""
     physics = physics_of(found.problem.dynamics)
     if physics is None or not found.converged:
@@ -38,15 +40,27 @@ def with_lasting(found: Fit, data: Dataset) -> Fit:
     if seen is None:
         return found
     said = said_of_changes(seen, changed)
-    share = lasting_share(seen, changed)
+    before, moved = found, ""
+    try:
+        with threadpool_limits(limits=1):
+            found, moved = with_shift(found, seen, changed)
+    except (GreyboxError, np.linalg.LinAlgError):  # a prediction that is not finite
+        pass
+    # Of what changed the errors then hold what it moves; a force that stays may be thrust as ever.
+    share = lasting_share(seen, changed if found is before else ())
     if share > 0:
         found = _with_share(found, share, share * physics.vehicle.gravity)
     if not changed:
         return found
+    steps, drifts = list(said.steps), list(said.drifts)
+    if moved and steps:
+        steps[-1] += f"; {moved}"
+    elif moved:  # parts of a flight that drifts are no better
+        found, drifts = doubted(found, "; ".join([*drifts, moved])), []
     found = doubted(found, *said.flown)
     old = found.diagnostics
-    warnings = (*said.steps, *said.drifts, *old.warnings)
-    told = replace(old.covariance, changed=tuple(said.steps))
+    warnings = (*steps, *drifts, *old.warnings)
+    told = replace(old.covariance, changed=tuple(steps))
     return replace(found, diagnostics=replace(old, covariance=told, warnings=warnings))
 
 

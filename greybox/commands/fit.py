@@ -128,13 +128,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _fitted(job: Job, console: Console) -> Fit:
-    """The fit, which is saved before anything else can go wrong, with calibrated uncertainty. An
-    interrupted one is saved, too."""
+    """The fit with calibrated uncertainty. It is saved before anything else can go wrong, as
+    unfinished; an interrupted one is saved, too."""
     from greybox.automatic.lasting import with_lasting
     from greybox.automatic.wanted import with_rivals
     from greybox.commands.fit_own import RESULTS, interrupted
     from greybox.estimation.status import Interrupted
     from greybox.files import withdraw
+    from greybox.model.verdict import UNFINISHED
     from greybox.validation.calibration import calibrated
 
     arguments, data = job.arguments, job.prepared.data
@@ -150,7 +151,8 @@ def _fitted(job: Job, console: Console) -> Fit:
         arguments.kept = interrupted(job.out)
         raise
     withdraw(job.out, *RESULTS)
-    save(job, result)
+    save(job, result.judged(UNFINISHED))
+    arguments.kept = f"the fit is in {job.out}, unfinished: the same command starts again"
     return calibrated(with_lasting(with_rivals(result, data), data), data)
 
 

@@ -172,16 +172,16 @@ def with_pushes(job: Job, result: Fit) -> tuple[Fit, list[str]]:
 
 def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
     """What to do where flights push beyond a bound, which comes before all else; where the craft
-    changed within a flight; and the command that names what is missing, where parameters stand in
-    for that, or pushes without a name follow the motion and matter ahead or carry the craft: what is
-    missing may look like a change."""
+    changed within a flight, which looks like whatever may be missing; and the command that names
+    what is missing, where parameters stand in for that, or pushes without a name follow the motion
+    and matter ahead or carry the craft."""
     form, changed = result.covariance.form, result.covariance.changed
     told = [*([form] if form else []), *pushed]
     if result.covariance.beyond:
-        return [f"next: {result.covariance.beyond}", *(f"then: {t}" for t in (*told, *changed))]
-    named = [f"next: {discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
-    before_and_after = f"next: fit apart what was flown before and after: {'; '.join(changed)}"
-    return [*named, before_and_after] if changed else named
+        return [f"next: {result.covariance.beyond}", *(f"then: {t}" for t in (*changed, *told))]
+    steps = [f"fit apart what was flown before and after: {'; '.join(changed)}"] if changed else []
+    steps += [f"{discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
+    return [f"{word}: {step}" for word, step in zip(("next", "then"), steps, strict=False)]
 
 
 def discover_command(arguments: argparse.Namespace) -> str:

@@ -84,6 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     need_ulog(arguments.ulog)
     from greybox.commands.ulog_out import need_topic, write_ulog
     from greybox.model.layer import physics_of
+    from greybox.model.verdict import Outcome
     from greybox.progress import TimeLeft
     from greybox.validation.validate import validate
 
@@ -99,6 +100,9 @@ def run(arguments: argparse.Namespace) -> int:
         trim=not arguments.keep_ground,
     )
     hints, faults = _faults(model, dataset)
+    if model.verdict is not None and model.verdict.outcome is Outcome.UNFINISHED:
+        faults = [model.verdict.line, *faults]
+        print(f"greybox validate: {model.verdict.line}", file=sys.stderr)
     left, begun = TimeLeft(), itertools.count()
 
     def progress(line: str) -> None:

@@ -171,7 +171,7 @@ def _widened(
         ),
         covariance_slope=tuple(
             np.concatenate(
-                [_padded(known, block.columns.size), *(new[None, g] for new in added_slopes)]
+                [padded(known, block.columns.size), *(new[None, g] for new in added_slopes)]
             )
             for g, known in enumerate(block.covariance_slope)
         ),
@@ -181,7 +181,7 @@ def _widened(
     )
 
 
-def _padded(slopes: FloatArray, n: int) -> FloatArray:
+def padded(slopes: FloatArray, n: int) -> FloatArray:
     """Slopes (n_k, n_e, n_e) with zeros for the columns after theirs, (n, n_e, n_e)."""
     return np.concatenate([slopes, np.zeros((n - len(slopes), *slopes.shape[1:]))])
 

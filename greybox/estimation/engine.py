@@ -26,7 +26,7 @@ from greybox.estimation.cache import say
 from greybox.estimation.reference_point import chart_jacobians, reference_step, symbols
 from greybox.estimation.tape_cache import linears
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import CASADI, FloatArray
+from greybox.symbolic import CASADI, FloatArray, evaluate
 
 IntArray = npt.NDArray[np.int32]
 Whole = npt.NDArray[np.integer[Any]]
@@ -308,6 +308,36 @@ class Engine:
         with CASADI:
             state, _, slope = (v.full() for v in self.inject(x, d))
         return np.asarray(state).ravel(), np.asarray(slope)
+
+    @functools.cached_property
+    def _unexpected(self) -> tuple[ca.Function, ca.Function]:
+        """x, y -> innovation of readings that are the outputs y, and its slope in the readings."""
+        d = self.dynamics
+        with CASADI:
+            x, y, told = (
+                ca.SX.sym(n, k) for n, k in (("x", self.nx), ("y", self.ny), ("h", self.ny))
+            )
+            e = d.innovation(y, told, x)
+            by = ca.jacobian(e, y)
+            inputs = [x, told]
+            e, by = (ca.substitute(v, y, told) for v in (e, by))
+            return (
+                ca.Function("unexpected", inputs, [ca.densify(e)]),
+                ca.Function("by_readings", inputs, [ca.densify(ca.vec(by.T))]),
+            )
+
+    def expected(self, states: FloatArray, outputs: FloatArray) -> FloatArray:
+        """Readings (m, n_y) that sensors in `states` (m, n_x) are expected to show where the craft's
+        outputs are `outputs` (m, n_y): those without innovation. Errors of a sensor that are states
+        are in its readings and in no output. A sensor's innovation is linear in its reading."""
+        error, slope = self._unexpected
+        e = evaluate(error, states, outputs)
+        if not e.any():
+            return outputs
+        by = evaluate(slope, states, outputs).reshape(len(states), self.ne, self.ny)
+        across = by @ by.transpose(0, 2, 1)
+        step = by.transpose(0, 2, 1) @ np.linalg.solve(across, -e[:, :, None])
+        return np.asarray(outputs + step[:, :, 0])
 
     def padded_inputs(self, u: FloatArray, earlier: FloatArray | None = None) -> FloatArray:
         """Record of commands (n, n_u) with what the window sees besides: (n + past + future, n_u).

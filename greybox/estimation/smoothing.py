@@ -55,11 +55,10 @@ def transitions(
     m = len(states)
     one = np.ones(m, dtype=np.int32)
     n = len(inputs) - engine.past - engine.future
-    # The chart of a measured attitude is linearised where the innovation is zero.
+    # What turns with the attitude is linearised where the innovation is zero.
     outputs = np.zeros((n, engine.ny))
-    outputs[rows] = engine.rollout(starts=states, rows=rows, horizon=1, inputs=inputs, p=p, dt=dt)[
-        0
-    ][:, 0]
+    told = engine.rollout(starts=states, rows=rows, horizon=1, inputs=inputs, p=p, dt=dt)[0][:, 0]
+    outputs[rows] = engine.expected(states, told)
     found = engine.windows(
         starts=states,
         rows=rows,
@@ -78,8 +77,8 @@ def transitions(
 
 
 def smooth(runner: Filter, filtered: Filtered) -> Smoothed:
-    """Smooth one segment that `runner` has filtered. Raises `FitError` where the linearisation is
-    not finite."""
+    """Smooth one segment that `runner` has filtered. Raises `FitError` where the linearisation or
+    what is smoothed is not finite."""
     record, engine = filtered.record, runner.engine
     n, nd = record.n, engine.nd
     linear = transitions(
@@ -96,21 +95,25 @@ def smooth(runner: Filter, filtered: Filtered) -> Smoothed:
     )
     r, info = np.zeros(nd), np.zeros((nd, nd))
     moved, variance = np.zeros((n, nd)), np.zeros((n, nd))
-    for k in range(n - 1, -1, -1):
-        g = filtered.gains.pattern[k]
-        p = before[g]
-        seen = c[k] * there[g][:, None]
-        closed = a[k] - table.gain[g] @ seen
-        weighted = seen.T @ weights[g]
-        r = weighted @ filtered.innovations[k] + closed.T @ r
-        info = weighted @ seen + closed.T @ info @ closed
-        moved[k] = p @ r
-        variance[k] = np.diag(p) - ((p @ info) * p).sum(axis=1)  # p is symmetric
+    with np.errstate(over="ignore", invalid="ignore"):  # said at the end
+        for k in range(n - 1, -1, -1):
+            g = filtered.gains.pattern[k]
+            p = before[g]
+            seen = c[k] * there[g][:, None]
+            closed = a[k] - table.gain[g] @ seen
+            weighted = seen.T @ weights[g]
+            r = weighted @ filtered.innovations[k] + closed.T @ r
+            info = weighted @ seen + closed.T @ info @ closed
+            moved[k] = p @ r
+            variance[k] = np.diag(p) - ((p @ info) * p).sum(axis=1)  # p is symmetric
     x, d = ca.SX.sym("x", engine.nx), ca.SX.sym("d", nd)
     chart = ca.Function("moved", [x, d], [ca.densify(engine.dynamics.boxplus(x, d))])
     floor = 1e-6 * np.diag(filtered.state_covariance)
+    states = evaluate(chart, filtered.states, moved)
+    if not np.isfinite(states).all():
+        raise FitError("a smoothed flight is not finite: the filter is not stable along it")
     return Smoothed(
         filtered=filtered,
-        states=evaluate(chart, filtered.states, moved),
+        states=states,
         variance=np.maximum(variance, floor),
     )

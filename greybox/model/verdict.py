@@ -27,6 +27,7 @@ class Outcome(enum.Enum):
     NOT_USABLE = "not usable"
     TOO_CALM = "too calm"
     PARTLY_JUDGED = "partly judged"
+    UNFINISHED = "unfinished"
 
 
 class GroupSkillRow(TypedDict):
@@ -122,8 +123,8 @@ class Verdict:
 
     @property
     def refused(self) -> bool:
-        """Whether whoever builds on the model has to be asked: not usable."""
-        return self.outcome is Outcome.NOT_USABLE
+        """Whether whoever builds on the model has to be asked: not usable, or unfinished."""
+        return self.outcome in (Outcome.NOT_USABLE, Outcome.UNFINISHED)
 
     @property
     def exit_code(self) -> int:
@@ -179,6 +180,19 @@ class Verdict:
 def _number(value: float | None, sign: int = 1) -> float:
     """A number of a file, where an infinite one (predictions that diverged) is written as null."""
     return sign * float("inf") if value is None else float(value)
+
+
+UNFINISHED = Verdict(
+    outcome=Outcome.UNFINISHED,
+    line="UNFINISHED: the command that fitted this model ended before errors were whole, predictions "
+    "calibrated and the model judged; the same command starts again",
+    useful_seconds=0.0,
+    judged_seconds=0.0,
+    judged_on="",
+    flights=(),
+    groups=(),
+)
+"""What a fit is saved with while the rest is at work, so that nothing can lose it."""
 
 
 def demand_usable(verdict: Verdict | None, model: str, *, even_so: bool) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,7 +73,8 @@ def beyond(y: FloatArray, change: Change, causes: Sequence[Cause]) -> bool:
     the change. Where a cause is the same before and after, or what comes in each of both does not
     go with it, time is left to explain the change; where each has its own, nothing tells them apart.
     """
-    m = len(y)
+    m, unit = len(y), abs(change.size)
+    y, change = y / unit, replace(change, size=change.size / unit)
     place = np.arange(m)
     shape = place / (m - 1.0)
     if change.at is not None:
@@ -88,7 +89,7 @@ def beyond(y: FloatArray, change: Change, causes: Sequence[Cause]) -> bool:
         if not width > 0:
             continue
         square = ((z[:, None] - z[None]) ** 2).sum(axis=2)
-        whole = noise + change.size**2 * np.exp(-0.5 * square / width)
+        whole = noise + np.exp(-0.5 * square / width)
         spread = np.linalg.inv(both.T @ np.linalg.solve(whole, both))
         found = spread @ (both.T @ np.linalg.solve(whole, y))
         if found[1] * np.sign(change.size) <= FELT * np.sqrt(spread[1, 1]):

@@ -105,6 +105,20 @@ def averaged(at: Parabola) -> Averaged:
     return Averaged(spread=spread, shift=shift, best=best)
 
 
+def likeliest(at: Parabola, prices: Mapping[str, float]) -> Form | None:
+    """The likeliest form, by steps, of causes that cost `prices` each; None where that is the
+    fit."""
+    felt = at.felt()
+    best: Form | None = None
+    while True:
+        names, odds = ((), 0.0) if best is None else (best.causes, best.log_odds)
+        asked = [_form(at, felt, best, n, prices[n]) for n in felt if n not in names]
+        likelier = [f for f in asked if f is not None and f.log_odds > odds]
+        if not likelier:
+            return best
+        best = max(likelier, key=lambda f: f.log_odds)
+
+
 def _form(
     at: Parabola, felt: Mapping[str, Sequence[int]], before: Form | None, name: str, price: float
 ) -> Form | None:

@@ -25,11 +25,12 @@ from greybox.automatic.changed import (
     unnamed,
 )
 from greybox.automatic.lasting import _with_share, with_lasting
+from greybox.automatic.shifted import Asked, with_shift
 from greybox.automatic.widened import widened
 from greybox.commands.fit_said import next_step
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
-from greybox.estimation.result import Fit
+from greybox.estimation.result import Estimate, Fit
 from greybox.excitation.trajectory import Reference, Trajectory, from_positions
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.known import known_numbers
@@ -151,11 +152,60 @@ def test_the_errors_hold_what_changed() -> None:
     )
     assert 0.02 < share < LOST
     relative = told["thrust.c2"].std / told["thrust.c2"].value
-    assert relative == pytest.approx(np.hypot(share, _relative(found, "thrust.c2")), rel=0.1)
+    assert 0.95 * np.hypot(share, _relative(found, "thrust.c2")) < relative < LOST
     assert all(told[n].value == e.value for n, e in found.parameters.items())
     known = known_numbers(told.model)
     assert known["thrust.c2"][1] == pytest.approx(told["thrust.c2"].std, rel=1e-9)
     np.testing.assert_array_equal(told.model.covariance, found.model.covariance)
+
+
+@functools.cache
+def weaker(both: bool) -> tuple[Fit, Dataset]:
+    """Two calm flights in which a rotor gets weaker, the first only where `both` do; the plain fit
+    with a lag."""
+    plant = x250()
+    data = flown(plant, RandomWaypoints(), 15.0, lost=("u1",))
+    if both:
+        again = flown(plant, RandomWaypoints(), 15.0, seed=3, lost=("u1",))
+        data = Dataset(flights=(replace(again.flights[1], name="run0"), data.flights[1]))
+    return plain_fit(plant, data), data
+
+
+def test_what_a_change_moves_is_held_by_the_errors_and_no_measurement() -> None:
+    """The fit bends a rotor that gets weaker into what it has."""
+    found, data = weaker(both=False)
+    told, truth = with_lasting(found, data), x250().truth()["parameters"]
+    for n in ("thrust.c2", "inertia.xx", "inertia.yy"):
+        assert told[n].std > 1.3 * found[n].std
+        assert abs(told[n].value - truth[n]) < 2.0 * told[n].std
+    seen = seen_in(found, data)
+    sharp = replace(found, estimates=replace(found.estimates, parameters=_sharper(found)))
+    held, line = with_shift(sharp, seen, changes(seen))
+    assert "thrust.c2" in line and "no measurement: that would move" in line
+    assert held["thrust.c2"].std > 10 * sharp["thrust.c2"].std
+
+
+def _sharper(found: Fit) -> dict[str, Estimate]:
+    """The estimates with a tenth of their errors."""
+    return {n: replace(e, std=0.1 * e.std) for n, e in found.parameters.items()}
+
+
+def test_a_change_that_is_told_in_one_flight_is_found_in_another() -> None:
+    """By the likelihood, which knows the place to a few samples; in flights without one it is
+    nowhere."""
+    for both in (True, False):
+        found, data = weaker(both)
+        seen = seen_in(found, data)
+        start = [f.segments[0].t[0] for f in data]
+        (c,) = [c for c in changes(seen) if c.flight == data.flights[1].name]
+        rivals = list(Asked(found=found, seen=seen, told=[c]).rivals())
+        when = {r.when for r in rivals}
+        assert f"{c.flight} from {start[1] + WHEN:.1f} s on" in when
+        other = [r for r in rivals if r.price]
+        assert bool(other) is both
+        for r in other:
+            begin = start[0] + r.lasting.share.argmax() * found.problem.dt
+            assert begin == pytest.approx(start[0] + WHEN, abs=0.05)
 
 
 def test_an_effect_that_is_missing_is_no_change_of_the_craft() -> None:
@@ -290,7 +340,7 @@ def job() -> Any:
     return SimpleNamespace(arguments=arguments)
 
 
-def test_the_next_step_is_to_fit_the_parts_apart_and_to_name_what_is_missing() -> None:
+def test_the_next_step_is_to_fit_the_parts_apart_and_then_to_name_what_is_missing() -> None:
     changed = ("in run1 from 9.0 s on force.z -12.0 %",)
     apart = "next: fit apart what was flown before and after: in run1 from 9.0 s on force.z -12.0 %"
     sure: Any = SimpleNamespace(covariance=SimpleNamespace(beyond="", form="", changed=changed))
@@ -298,8 +348,8 @@ def test_the_next_step_is_to_fit_the_parts_apart_and_to_name_what_is_missing() -
     form = "thrust.c2 is no measurement"
     result: Any = SimpleNamespace(covariance=SimpleNamespace(beyond="", form=form, changed=changed))
     assert next_step(job(), result, []) == [
-        f"next: greybox discover --vehicle v.toml --train a.csv: {form}",
         apart,
+        f"then: greybox discover --vehicle v.toml --train a.csv: {form}",
     ]
 
 

@@ -1,17 +1,23 @@
 """The smoother's states are the conditional mean of the linear Gaussian model, given the whole
 record."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from greybox.data import dataset_from_arrays
+from greybox.errors import FitError
+from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import Filter
 from greybox.estimation.gain import Linearisation
 from greybox.estimation.smoothing import smooth, transitions
+from greybox.examples import vehicle_path
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
-from greybox.model.noise import with_disturbance
+from greybox.model.model import build_model
+from greybox.model.noise import Augmented, Coloured, with_disturbance
 from greybox.model.parameter import ParameterValues
+from greybox.model.vehicle import read_vehicle
 from greybox.symbolic import Layout, Signal
 
 DT, N = 0.05, 60
@@ -81,6 +87,55 @@ def test_smoothed_states_and_their_variance_equal_the_dense_solution():
     variance = np.einsum("kij,jl,kil->ki", rows, after, rows)
     assert found.variance == pytest.approx(variance, rel=1e-6)
     assert np.all(found.variance <= np.diag(prior) + 1e-12)
+
+
+def craft() -> Augmented:
+    """One with errors of its pose that last."""
+    model = build_model(
+        read_vehicle(vehicle_path("nanobench")),
+        ("x", "y", "z", "qw", "qx", "qy", "qz", "p", "q", "r"),
+    )
+    return Augmented(core=model, parts=(Coloured(sensor="position"), Coloured(sensor="attitude")))
+
+
+def test_errors_of_a_sensor_turn_no_slope_of_what_it_reads():
+    """They are in the reading that is expected, and so in no innovation: however large they are,
+    what the flight shows of an attitude stays that of the craft."""
+    dynamics = craft()
+    engine, names = engine_for(dynamics, ()), dynamics.states.names
+    p = np.array([d.nominal for d in dynamics.parameters])
+    u = np.full((2, len(dynamics.inputs.names)), 0.5)
+    x = np.repeat(dynamics.reference(dict.fromkeys(dynamics.inputs.names, 0.5))[None], 2, axis=0)
+    x[:, names.index("attitude.w")], x[:, names.index("attitude.x")] = np.cos(0.1), np.sin(0.1)
+    for axis, size in zip("xyz", (0.1, -0.2, 0.3), strict=True):
+        x[1, names.index(f"coloured.position.c.{axis}")] = size
+        x[1, names.index(f"coloured.attitude.c.{axis}")] = 0.1 * size
+    told = engine.rollout(starts=x, rows=np.arange(2), horizon=1, inputs=u, p=p, dt=DT)[0][:, 0]
+    read = engine.expected(x, told)
+    assert np.abs(read[0] - told[0]).max() < 1e-12 and np.abs(read[1] - told[1]).max() > 0.1
+    e = [dynamics.innovation(*map(ca.DM, v)).full() for v in zip(read, told, x, strict=True)]
+    assert np.abs(e).max() < 1e-12
+    found = transitions(engine, x, np.arange(2), u, p, DT).sensitivity
+    assert found[1] == pytest.approx(found[0], abs=0.02)
+
+
+def test_what_is_smoothed_to_no_number_is_an_error(monkeypatch):
+    model = oscillator()
+    runner = Filter(model)
+    data = dataset_from_arrays(DT * np.arange(N), {"u": np.ones(N), "y": np.ones(N)}, name="run")
+    filtered = runner.run(data.flights[0].segments[0])
+    wild = transitions(
+        runner.engine,
+        filtered.states,
+        np.arange(N),
+        filtered.record.inputs,
+        filtered.p,
+        DT,
+        1e200 * np.repeat(np.eye(3)[None], N, axis=0),
+    )
+    monkeypatch.setattr("greybox.estimation.smoothing.transitions", lambda *_: wild)
+    with pytest.raises(FitError, match="smoothed flight is not finite"):
+        smooth(runner, filtered)
 
 
 def test_transitions_are_the_derivatives_of_the_step():

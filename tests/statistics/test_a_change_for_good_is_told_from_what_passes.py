@@ -3,6 +3,8 @@ without a change seem to have one as seldom as is promised."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,9 @@ def test_a_cause_that_hardly_moves_explains_nothing() -> None:
     y, sunk = drawn(0.3, 40, 0) + 10.0 * after, 0.1 * after[:, None]
     assert not beyond(y, found_in(y), [Cause(z=sunk)])
     assert beyond(y, found_in(y), [Cause(z=sunk, least=1.0)])
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e200])
+def test_no_unit_is_too_large(unit: float) -> None:
+    y = drawn(0.3, 40, 0) + 10.0 * (np.arange(40) >= 24)
+    assert beyond(y * unit, replace(found_in(y), size=10.0 * unit), [Cause(z=moved(40, 1))])
