@@ -251,7 +251,7 @@ class HorizonAccumulator:
         target = np.where(
             inside[..., None], reference[np.minimum(index, len(reference) - 1)], np.nan
         )
-        wanted: BoolArray = np.isfinite(target).all(axis=2)
+        wanted: BoolArray = np.all(np.isfinite(target), axis=2)
         errors = error_vectors(kind, predicted, target)
         norms = np.linalg.norm(errors, axis=2)
         diverged = wanted & ~np.isfinite(norms)

@@ -53,7 +53,7 @@ def useful_alone(parts: Sequence[Part]) -> str:
 def in_sentences(verdict: Verdict) -> list[str]:
     """One line of all flights and one of all axes that deny a verdict, with what ends their use."""
     lines = []
-    for kind, title in (("flight", "flights alone"), ("axis", "axes alone, over all flights")):
+    for kind, title in (("flight", "flights alone"), ("axis", "axes alone")):
         bad = [p for p in _of(verdict.parts, kind) if denies(p, verdict.useful_seconds)]
         if bad and not verdict.refused:
             each = "; ".join(_sentence(p) for p in sorted(bad, key=_worst_first))

@@ -174,7 +174,7 @@ def test_an_axis_that_roll_and_pitch_hide_is_named(yaw: np.ndarray, said: str) -
     found = axes_of(1.0, yaw, change=0.6)
     assert found.outcome is Outcome.USABLE
     assert found.line.startswith(f"useful for 1 s and more ({said}): taken together, errors stay")
-    assert in_words(found)[-1].startswith("axes alone, over all flights: yaw rate")
+    assert in_words(found)[-1].startswith("axes alone: yaw rate")
 
 
 def test_an_axis_that_hardly_moves_is_not_judged_and_one_that_is_foretold_is_not_named() -> None:
