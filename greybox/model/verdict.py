@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 from greybox.errors import ModelError
 from greybox.files import Parsed
@@ -44,6 +44,17 @@ class GroupSkillRow(TypedDict):
     calm: bool
 
 
+class PartRow(TypedDict):
+    """A `Part` in a file."""
+
+    name: str
+    kind: Literal["flight", "axis"]
+    outcome: str
+    useful_seconds: float
+    groups: list[str]
+    worse_from: float | None
+
+
 class VerdictDocument(TypedDict):
     """A `Verdict` in a file."""
 
@@ -57,6 +68,35 @@ class VerdictDocument(TypedDict):
     reason: str
     action: str
     anchor: str
+    parts: NotRequired[list[PartRow]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One flight, or one axis of a group over all flights, judged alone.
+
+    `outcome` and `useful_seconds` as in `Verdict`; `groups` are those that end the use, or move too
+    little to judge, with the first horizon at which the last value is better, `worse_from` [s]
+    (None where there is none).
+    """
+
+    name: str
+    kind: Literal["flight", "axis"]
+    outcome: Outcome
+    useful_seconds: float
+    groups: tuple[str, ...] = ()
+    worse_from: float | None = None
+
+    def to_dict(self) -> PartRow:
+        """Plain values under the names of the fields."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "outcome": self.outcome.value,
+            "useful_seconds": self.useful_seconds,
+            "groups": list(self.groups),
+            "worse_from": self.worse_from,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +147,8 @@ class Verdict:
     `line` is the first line of every output. `useful_seconds` [s]: up to there no group that could
     be judged is worse than holding the last value; judging ended at `judged_seconds`. `judged_on`
     says in words which flights judged (`flights` by name). `reason`, `action` and `anchor` (a
-    section of docs/bad_fit.md) are empty where nothing is wrong.
+    section of docs/bad_fit.md) are empty where nothing is wrong. `parts` are every flight, where
+    there are several, and every axis, judged alone; () in an older file.
     """
 
     outcome: Outcome
@@ -120,6 +161,7 @@ class Verdict:
     reason: str = ""
     action: str = ""
     anchor: str = ""
+    parts: tuple[Part, ...] = ()
 
     @property
     def refused(self) -> bool:
@@ -144,6 +186,7 @@ class Verdict:
             "reason": self.reason,
             "action": self.action,
             "anchor": self.anchor,
+            "parts": [p.to_dict() for p in self.parts],
         }
 
     @staticmethod
@@ -174,6 +217,17 @@ class Verdict:
             reason=str(data["reason"]),
             action=str(data["action"]),
             anchor=str(data["anchor"]),
+            parts=tuple(
+                Part(
+                    name=str(p["name"]),
+                    kind="flight" if p["kind"] == "flight" else "axis",
+                    outcome=Outcome(p["outcome"]),
+                    useful_seconds=float(p["useful_seconds"]),
+                    groups=tuple(str(g) for g in p["groups"]),
+                    worse_from=None if p["worse_from"] is None else float(p["worse_from"]),
+                )
+                for p in data.get("parts", ())
+            ),
         )
 
 

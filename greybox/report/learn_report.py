@@ -396,8 +396,11 @@ def _next(report: Report, content: LearnDocument, validation: BeforeAfter) -> No
             f"Errors grew for {', '.join(worse)}: keep the physics model, or learn from more "
             "varied flights."
         )
-    elif beside is not None and beside["says"] == "no better":
-        texts.append("Keep the physics model: what was learned makes no clear difference.")
+    elif beside is not None and beside["says"] not in ("better", "worse"):
+        texts.append(
+            "Keep the physics model: whether what was learned helps is not clear; longer or more "
+            "flights that judge would tell."
+        )
     if content["null"]:
         texts.append(
             "Where you expected something to learn: fly faster or more varied, give --inputs that "

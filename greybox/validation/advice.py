@@ -18,9 +18,10 @@ from greybox.errors import DataError
 from greybox.estimation.fit import Fit
 from greybox.model.absence import not_offered
 from greybox.model.effects import effect_by_name
+from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters
 from greybox.model.model import PhysicsModel
-from greybox.validation.sanity import Sanity, sanity_of
+from greybox.validation.sanity import Sanity, sanity_of, sanity_of_model
 
 PAGE = "docs/bad_fit.md"
 """The page whose sections the anchors name."""
@@ -294,6 +295,26 @@ def hints_of_fit(fit: Fit) -> tuple[Hint, ...]:
     if not fit.converged:
         out.append(Hint(symptom=Symptom.NOT_CONVERGED))
     return tuple(out)
+
+
+OF_A_FIT = (Symptom.FOR_NAMES, Symptom.OVERRULED, Symptom.BOUNDS, Symptom.NOT_CONVERGED)
+"""What a fit says of itself and a model file holds nowhere but in its verdict."""
+
+
+def hints_of_model(model: IdentifiedModel) -> tuple[Hint, ...]:
+    """What a model keeps of what its own fit knew: the reason of its verdict, where the fit itself
+    gave it, and what physics says about its values."""
+    own = model.verdict
+    said = [] if own is None else [a for a in ADVICE if a.symptom.anchor == own.anchor]
+    out = [
+        Hint(
+            symptom=a.symptom,
+            detail=own.reason.removeprefix(a.reason).removeprefix(" (").removesuffix(")"),
+        )
+        for a in said
+        if own is not None and a.symptom in OF_A_FIT
+    ]
+    return (*out, *hints_of_sanity(sanity_of_model(model)))
 
 
 def hints_of_sanity(sanity: Sanity) -> tuple[Hint, ...]:

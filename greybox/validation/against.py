@@ -109,19 +109,35 @@ class Against:
 
     @property
     def says(self) -> str:
-        """ "worse" (clearly, somewhere), else "better" (clearly, somewhere), else "no better"."""
+        """ "worse" (clearly, somewhere), else "better" (clearly, somewhere), else "not clear"."""
         if self.worse:
             return "worse"
-        return "better" if self.better else "no better"
+        return "better" if self.better else "not clear"
+
+    @property
+    def unclear(self) -> tuple[Change, ...]:
+        """Of all that differs without being clear the largest rise, and the largest fall."""
+        left = [c for c in self.changes if not c.clear and np.isfinite([c.before, c.after]).all()]
+        left = [c for c in left if not _level(c.before, c.after)]
+        rises = _strongest(c for c in left if c.after > c.before)
+        falls = _strongest(c for c in left if c.after < c.before)
+        return (*rises[:1], *falls[:1])
 
     def line(self, other: str) -> str:
-        """One line for people: how the model compares with `other`, at `ahead` in all groups."""
+        """One line for people: how the model compares with `other`, at `ahead` in all groups; where
+        it is clearly better or worse most, and what may be chance."""
+        says = {"not clear": "not clearly better or worse"}.get(self.says, self.says)
         all_groups = ", ".join(c.numbers for c in self.changes if c.seconds == self.ahead)
+        most = _with_seconds(c for c in self.better if c.seconds != self.ahead)
+        worst, unclear = _with_seconds(self.worse), _with_seconds(self.unclear)
+        parts = (
+            f"{says} than {other}: {self.ahead:.2g} s ahead {all_groups}",
+            f"most {most}" if self.says == "better" and most else "",
+            f"worst {worst}" if worst else "",
+            f"may be chance: {unclear}" if unclear else "",
+        )
         on = "" if self.judged_on == TEST_FLIGHTS else f" [judged on {self.judged_on}]"
-        late = [c for c in self.better if c.seconds != self.ahead]
-        most = ", ".join(f"{c.numbers} {c.seconds:.2g} s ahead" for c in late)
-        more = f"; most {most}" if self.says == "better" and late else ""
-        return f"{self.says} than {other}: {self.ahead:.2g} s ahead {all_groups}{more}{on}"
+        return "; ".join(p for p in parts if p) + on
 
     def to_dict(self, other: str) -> AgainstDocument:
         """Plain values, with the line against `other`."""
@@ -133,7 +149,7 @@ class Against:
         file is `base`."""
         if not self.worse or verdict.refused:
             return verdict
-        where = ", ".join(f"{c.numbers} {c.seconds:.2g} s ahead" for c in self.worse)
+        where = _with_seconds(self.worse)
         hint = Hint(symptom=Symptom.LEARNED_WORSE)
         reason, action, anchor = likely([hint], Symptom.LEARNED_WORSE)
         action = f"use the physics model: {base}; then {action}"
@@ -149,6 +165,15 @@ class Against:
             action=action,
             anchor=anchor,
         )
+
+
+def _with_seconds(changes: Iterable[Change]) -> str:
+    return ", ".join(f"{c.numbers} {c.seconds:.2g} s ahead" for c in changes)
+
+
+def _level(before: float, after: float) -> bool:
+    """Whether the difference of two mean errors is worth nothing."""
+    return (1 - TRACE) * before**2 <= after**2 <= (1 + TRACE) * before**2
 
 
 def _strongest(changes: Iterable[Change]) -> tuple[Change, ...]:
@@ -221,5 +246,4 @@ def _clear(before: float, after: float, chance: float) -> bool:
     """Whether two mean errors differ by more than `chance` and than what is worth nothing."""
     if not np.isfinite([before, after]).all():
         return before != after
-    worth = not (1 - TRACE) * before**2 <= after**2 <= (1 + TRACE) * before**2
-    return worth and abs(after - before) > chance
+    return not _level(before, after) and abs(after - before) > chance

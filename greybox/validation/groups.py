@@ -41,6 +41,16 @@ class Group:
         """Number of columns."""
         return len(self.columns)
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """What the components of its error are called, in order; () where there is one."""
+        if self.error_dimension == 1:
+            return ()
+        turning = {"rotation": "{}", "rate": "{} rate"}.get(self.name)
+        if turning is not None:
+            return tuple(turning.format(a) for a in ("roll", "pitch", "yaw"))
+        return tuple(f"{self.name.replace('_', ' ')} {a}" for a in "xyz")
+
 
 _NO_MATTER: Any = None
 """The vehicle, for the usual sensors: they have the same columns on every one."""

@@ -113,10 +113,12 @@ class _Sums:
     origins: int = 0
     left_out: int = 0
     interval: int = 1
+    axes: tuple[_Sums, ...] = ()
 
     @classmethod
-    def zeros(cls, steps: int) -> _Sums:
+    def zeros(cls, steps: int, axes: int = 0) -> _Sums:
         return cls(
+            axes=tuple(cls.zeros(steps) for _ in range(axes)),
             count=np.zeros(steps),
             absolute=np.zeros(steps),
             square=np.zeros(steps),
@@ -125,6 +127,19 @@ class _Sums:
             judged=np.zeros(steps),
             density=np.zeros(steps),
         )
+
+    def sum(self, errors: FloatArray, wanted: BoolArray, edges: IntArray) -> None:
+        """Add the absolute `errors` (n, H) of those origins and horizons that are `wanted`; blocks
+        begin at `edges`."""
+        diverged = wanted & ~np.isfinite(errors)
+        sizes = np.where(diverged, np.inf, np.where(wanted, errors, 0.0))
+        self.origins += len(sizes)
+        self.count += wanted.sum(axis=0)
+        self.diverged += diverged.sum(axis=0)
+        self.absolute += sizes.sum(axis=0)
+        self.square += (sizes * sizes).sum(axis=0)
+        for part, seen in zip(np.split(sizes, edges), np.split(wanted, edges), strict=True):
+            self.blocks.append((part.sum(axis=0), seen.sum(axis=0).astype(np.float64)))
 
 
 @dataclass(kw_only=True)
@@ -202,12 +217,12 @@ class HorizonAccumulator:
             present = complete_rows(reference)
             if not present.any():
                 continue
-            own = sums.setdefault(name, _Sums.zeros(self.steps))
+            axes = self.groups[name].error_dimension
+            own = sums.setdefault(name, _Sums.zeros(self.steps, axes if axes > 1 else 0))
             apart = np.diff(np.flatnonzero(present))
             own.interval = max(own.interval, int(np.median(apart)) if apart.size else 1)
             keep = self._usable(present, starts)
             own.left_out += int(len(starts) - keep.sum())
-            own.origins += int(keep.sum())
             if not keep.any():
                 continue
             covariance = (
@@ -236,19 +251,15 @@ class HorizonAccumulator:
         target = np.where(
             inside[..., None], reference[np.minimum(index, len(reference) - 1)], np.nan
         )
-        wanted = np.isfinite(target).all(axis=2)
+        wanted: BoolArray = np.all(np.isfinite(target), axis=2)
         errors = error_vectors(kind, predicted, target)
         norms = np.linalg.norm(errors, axis=2)
         diverged = wanted & ~np.isfinite(norms)
-        norms = np.where(diverged, np.inf, np.where(wanted, norms, 0.0))
-        own.count += wanted.sum(axis=0)
-        own.diverged += diverged.sum(axis=0)
-        own.absolute += norms.sum(axis=0)
-        own.square += (norms * norms).sum(axis=0)
         length = max(1, round(self.block_seconds / self.sample_time))
         edges = np.flatnonzero(np.diff(starts // length)) + 1
-        for part, seen in zip(np.split(norms, edges), np.split(wanted, edges), strict=True):
-            own.blocks.append((part.sum(axis=0), seen.sum(axis=0).astype(np.float64)))
+        own.sum(norms, wanted, edges)
+        for i, axis in enumerate(own.axes):
+            axis.sum(np.abs(errors[..., i]), wanted, edges)
         if covariance is not None:
             stated = wanted & np.isfinite(covariance).all(axis=(2, 3))
             judged = stated & ~diverged
@@ -319,4 +330,5 @@ def _finish(parts: Sequence[_Sums]) -> GroupErrors:
         coverage=coverage,
         nlpd=nlpd,
         interval=min(p.interval for p in parts),
+        axes=tuple(_finish(same) for same in zip(*(p.axes for p in parts), strict=True)),
     )

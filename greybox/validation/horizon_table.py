@@ -64,7 +64,8 @@ class GroupErrors:
     `coverage` maps a level to the fraction of error vectors inside the ellipsoid that the stated
     covariance gives to that level, (H,); `nlpd` (H,) is the mean negative log density of the error
     vectors [nat]. None: nothing stated. References are mostly `interval` samples apart: tables list
-    no horizon below that, where an error is that of the last reference's age.
+    no horizon below that, where an error is that of the last reference's age. `axes` are the errors
+    of each component of the vector alone, () where it has one.
     """
 
     mae: FloatArray
@@ -78,6 +79,7 @@ class GroupErrors:
     coverage: Mapping[float, FloatArray] | None = None
     nlpd: FloatArray | None = None
     interval: int = 1
+    axes: tuple[GroupErrors, ...] = ()
 
     def lists(self, h: int) -> bool:
         """Whether a table has something to say `h` samples ahead."""

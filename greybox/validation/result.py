@@ -174,17 +174,20 @@ class Validation(Shown):
 
     def _too_narrow(self) -> list[str]:
         """A line of the groups whose stated 95 % regions hold clearly fewer of the errors, each
-        where it holds the fewest."""
+        with all horizons where they do."""
         found = []
         for name, errors in () if self.table is None else self.table.groups.items():
             listed = [h for h in self.horizons if errors.lists(h)]
-            if errors.coverage is None or not listed:
+            if errors.coverage is None:
                 continue
-            share, least = min((float(errors.coverage[0.95][h - 1]), h) for h in listed)
-            if share < HOLDS:
-                at = f"{least * self.sample_time:.3g} s ahead"
-                found.append(f"{name.replace('_', ' ')} {share:.0%} {at}")
-        return [f"too narrow: the stated 95 % regions hold {', '.join(found)}"] if found else []
+            share = {h: float(errors.coverage[0.95][h - 1]) for h in listed}
+            narrow = {h: s for h, s in share.items() if s < HOLDS}
+            if narrow:
+                least, most = (f"{100 * f(narrow.values()):.0f}" for f in (min, max))
+                held = least if least == most else f"{least} to {most}"
+                at = ", ".join(f"{h * self.sample_time:.3g}" for h in narrow)
+                found.append(f"{name.replace('_', ' ')} {held} % {at} s ahead")
+        return [f"too narrow: the stated 95 % regions hold {'; '.join(found)}"] if found else []
 
     def format(self) -> str:
         """Text for the terminal: the verdict, warnings, the multi-step tables, one-step errors and

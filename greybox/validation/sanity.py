@@ -9,7 +9,7 @@ converged plays no part.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Set
+from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from dataclasses import asdict, dataclass, replace
 from typing import Literal, Protocol
 
@@ -21,8 +21,10 @@ from greybox.files import Json
 from greybox.model.body import margins
 from greybox.model.composition import acts_on_speeds
 from greybox.model.effects import CATALOGUE
+from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters, physics_of
 from greybox.model.model import PhysicsModel
+from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import FELT
 
@@ -54,9 +56,9 @@ LIMITS: Mapping[str, Limit] = {
     "inertia, rounded": Limit(
         value=-0.013, source="margin of 5 % beyond the triangle: the slack of the vehicle reader"
     ),
-    "inertia, errors": Limit(
+    "errors": Limit(
         value=2.0,
-        source="standard errors of the excess: within them a body is possible, and nothing is "
+        source="standard errors of the excess: within them a craft can have it, and nothing is "
         "known to be wrong",
     ),
     "inertia, least": Limit(value=0.01, source="J / (m L^2); limit of greybox.model.plausibility"),
@@ -104,6 +106,10 @@ class Estimated(Protocol):
     @property
     def unit(self) -> str:
         """SI unit."""
+
+
+Estimates = Mapping[str, Estimated]
+Values = Mapping[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,35 +167,93 @@ def sanity(
 
 def sanity_of(fit: Fit) -> Sanity:
     """Judge a fit of a quadrotor; nothing is said about other models."""
-    physics = physics_of(fit.model.dynamics)
+    own = own_parameters(fit.model.dynamics)  # a noise that is not there says nothing of physics
+    judged = {n: e for n, e in fit.parameters.items() if n in own or not e.at_bound}
+    return _sanity(fit.model, judged, fit.noise)
+
+
+def sanity_of_model(model: IdentifiedModel) -> Sanity:
+    """Judge what a model of a quadrotor keeps of its estimates: values, standard errors and the
+    priors that were declared. Bounds and noise are not judged."""
+    declared = {d.name: d for d in model.dynamics.parameters}
+    errors = model.standard_errors | {n: std for n, (_, std) in model.flight_spread.items()}
+    return _sanity(
+        model,
+        {n: _Kept.of(declared[n], model.values[n], s) for n, s in errors.items() if n in declared},
+        {},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Kept:
+    """An estimate as a model file keeps it; fields as in `Estimated`."""
+
+    value: float
+    std: float
+    prior: tuple[float, float] | None
+    unit: str
+    at_bound: bool = False
+
+    @classmethod
+    def of(cls, declared: Parameter, value: float, std: float) -> _Kept:
+        prior = (declared.nominal, declared.sigma) if 0 < declared.sigma < math.inf else None
+        return cls(value=value, std=std, prior=prior, unit=declared.unit)
+
+
+def _sanity(
+    model: IdentifiedModel, estimates: Estimates, noise: Mapping[str, tuple[float, float, str]]
+) -> Sanity:
+    """The estimates of a model, the impossible first, with what was not yet tried."""
+    physics = physics_of(model.dynamics)
     if physics is None:
         return Sanity(findings=())
     # Measured rotor speeds may be logged late: they then act before their stamps.
     delays = tuple(f"{e.name}." for e in physics.effects if "delay" in e.early)
     late = delays if physics.input == "speed" else ()
-    own = own_parameters(fit.model.dynamics)  # a noise that is not there says nothing of physics
-    judged = {
-        n: e
-        for n, e in fit.parameters.items()
-        if not n.startswith(late) and (n in own or not e.at_bound)
-    }
-    found = sanity(judged, physics.vehicle, fit.model.values)
-    found = replace(found, findings=(*found.findings, *_louder(fit, physics)))
-    there = frozenset(fit.model.effects)
+    judged = {n: e for n, e in estimates.items() if not n.startswith(late)}
+    beyond = _beyond(judged, model.dynamics.parameters)
+    found = sanity(judged, physics.vehicle, model.values).findings
+    there = frozenset(model.effects)
     if physics.input == "speed":  # nothing that shapes a command can be added
         there |= {e.name for e in CATALOGUE if not acts_on_speeds(e)}
     return Sanity(
-        findings=tuple(replace(f, attempt=untried(f.attempt, there)) for f in found.findings)
+        findings=tuple(
+            replace(f, attempt=untried(f.attempt, there))
+            for f in (*beyond, *found, *_louder(noise, physics))
+        )
     )
 
 
-def _louder(fit: Fit, physics: PhysicsModel) -> Iterator[Insane]:
+def _beyond(estimates: Estimates, declared: Iterable[Parameter]) -> Iterator[Insane]:
+    """Estimates beyond what their declaration says that any craft has, by more than their
+    errors."""
+    for d in declared:
+        e = estimates.get(d.name)
+        if e is None or d.null is None:
+            continue
+        error = e.std if math.isfinite(e.std) else 0.0
+        if abs(e.value - d.null) - LIMITS["errors"].value * error > d.possible:
+            yield Insane(
+                severity="impossible",
+                kind="value",
+                parameters=(d.name,),
+                statement=f"{d.name} is {e.value:.3g} {d.unit}".rstrip()
+                + f" (no craft has more than {d.possible:.3g})",
+                likely="it stands for something that these flights do not tell apart from it, or "
+                "the log has other axes or units",
+                attempt=f"hold it (--fixed {d.name}), log what tells it (a pose); greybox check",
+            )
+
+
+def _louder(
+    noise: Mapping[str, tuple[float, float, str]], physics: PhysicsModel
+) -> Iterator[Insane]:
     """Sensors that are much noisier than the vehicle file says: what they show is not what the
     model has of them."""
     for sensor in physics.sensors:
         stated = physics.vehicle.noise.get(sensor.name)
         names = [f"noise.sensor.{s.name}" for s in sensor.innovation_signals(physics.vehicle)]
-        found = [(*fit.noise[n], n) for n in names if n in fit.noise]
+        found = [(*noise[n], n) for n in names if n in noise]
         if stated is None or not found:
             continue
         level, _, unit, name = max(found)
@@ -225,10 +289,6 @@ def untried(attempt: str, effects: Set[str]) -> str:
         elif missing:
             left.append(f"add {' and '.join(missing)}{f' where {rest}' if rest else ''}")
     return "; ".join(left) or "look at the innovations and at greybox check"
-
-
-Estimates = Mapping[str, Estimated]
-Values = Mapping[str, float]
 
 
 def _curves(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
@@ -351,7 +411,7 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
         errors = [estimates[n].std for n in names if np.isfinite(estimates[n].std)]
         principal = np.linalg.eigvalsh(j)
         excess = float(2 * principal[-1] - principal.sum())
-        known = excess > LIMITS["inertia, errors"].value * float(np.linalg.norm(errors))
+        known = excess > LIMITS["errors"].value * float(np.linalg.norm(errors))
         yield Insane(
             severity="impossible"
             if known and least < LIMITS["inertia, rounded"].value

@@ -11,16 +11,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.model.verdict import GroupSkill, Outcome, Verdict
+from greybox.model.verdict import GroupSkill, Outcome, Part, Verdict
 from greybox.shown import in_degrees
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.advice import Hint, Symptom, likely, symptom_of_group
 from greybox.validation.groups import Group
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
+from greybox.validation.parts import denied, denies, in_sentences, reservations, useful_alone
 
 TEST_FLIGHTS = "flights that it was not fitted to"
 FITTED_FLIGHTS = "the flights that were fitted"
@@ -207,28 +209,149 @@ def judge(
     `standard.minimum`.
     """
     rule = standard or Standard()
+    whole = _Tables(model=model, last=last_value, floor=measured_imu)
     groups, grid = _judged(model, last_value, rule)
     lost = [g for g in model.groups if g in last_value.groups and g not in groups]
-    floors = {} if measured_imu is None else measured_imu.groups
-    compared = [
-        _compare(model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), grid)
-        for g in groups
-    ]
-    weighed = _weigh(compared, grid)
-    found = _partly_judged(_conclude(weighed, grid, list(hints)), [*lost, *model.unjudged])
+    weighed = _weigh(_compared_of(whole, groups, grid), grid)
+    axes = _axes(whole, groups, grid)
+    flights = _flights(whole, rule)
+    parts = [_part(n, "flight", w, g) for n, w, g in flights]
+    parts += [_part(c.name, "axis", _weigh([c], grid), grid) for c in axes]
+    useful = weighed.useful(grid)
+    kept = [c for c, p in zip(axes, parts[len(flights) :], strict=True) if _kept(p, useful)]
+    found = _conclude(weighed, grid, list(hints), parts, kept)
+    if found.outcome is Outcome.NOT_USABLE:
+        found = replace(found, line=found.line + useful_alone(parts))
+    elif most := _most(flights, parts):
+        found = _not_usable_on_most(most, parts, list(hints))
+        useful = most[0][1].useful(most[0][2])
+    found = _partly_judged(found, [*lost, *model.unjudged])
     on = "" if judged_on == TEST_FLIGHTS else f" [judged on {judged_on}]"
     return Verdict(
         outcome=found.outcome,
         line=found.line + on,
-        useful_seconds=weighed.useful(grid),
+        useful_seconds=useful,
         judged_seconds=float(grid.seconds[-1]),
         judged_on=judged_on,
         flights=tuple(model.flights),
-        groups=tuple(_skill(c, grid) for c in compared),
+        groups=tuple(_skill(c, grid) for c in weighed.compared),
         reason=found.reason,
         action=found.action,
         anchor=found.anchor,
+        parts=tuple(parts),
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Tables:
+    """The errors that are compared: of the model, of the last value and of dead reckoning."""
+
+    model: HorizonTable
+    last: HorizonTable
+    floor: HorizonTable | None
+
+    def of(self, flight: str) -> _Tables:
+        """Those of one flight."""
+
+        def one(table: HorizonTable) -> HorizonTable:
+            return replace(table, groups=table.flights.get(flight, {}), flights={})
+
+        floor = None if self.floor is None else one(self.floor)
+        return _Tables(model=one(self.model), last=one(self.last), floor=floor)
+
+    def floor_of(self, group: str) -> GroupErrors | None:
+        """The errors of dead reckoning, None where there are none."""
+        return None if self.floor is None else self.floor.groups.get(group)
+
+
+_Flight = tuple[str, "_Weighed", "_Grid"]
+"""Name of a flight, and its errors alone."""
+
+
+def _compared_of(tables: _Tables, groups: Iterable[str], grid: _Grid) -> list[_Comparison]:
+    """The groups, each as a whole."""
+    model, last = tables.model, tables.last
+    return [
+        _compare(model.kinds[g], model.groups[g], last.groups[g], tables.floor_of(g), grid)
+        for g in groups
+    ]
+
+
+def _axes(tables: _Tables, groups: Iterable[str], grid: _Grid) -> list[_Comparison]:
+    """Every axis of the groups, over all flights."""
+    out = []
+    for g in groups:
+        kind, floor = tables.model.kinds[g], tables.floor_of(g)
+        own, held = tables.model.groups[g].axes, tables.last.groups[g].axes
+        best = () if floor is None else floor.axes
+        for i, name in enumerate(kind.axes if len(own) == len(held) else ()):
+            if i < len(own):
+                there = best[i] if i < len(best) else None
+                out.append(_compare(kind, own[i], held[i], there, grid, name=name))
+    return out
+
+
+def _flights(tables: _Tables, rule: Standard) -> list[_Flight]:
+    """Every flight alone, where there are several; those that are too short to tell an error from
+    chance are left out."""
+    names = list(tables.model.flights)
+    out: list[_Flight] = []
+    for name in names if len(names) > 1 else ():
+        one = tables.of(name)
+        if all(len(e.block_sums) < 2 for e in one.model.groups.values()):
+            continue
+        try:
+            groups, grid = _judged(one.model, one.last, rule)
+        except DataError:  # too short to judge by
+            continue
+        out.append((name, _weigh(_compared_of(one, groups, grid), grid), grid))
+    return out
+
+
+def _part(name: str, kind: Literal["flight", "axis"], weighed: _Weighed, grid: _Grid) -> Part:
+    """A flight or an axis alone, by the same rule as all together."""
+    outcome, ends = Outcome.USABLE, weighed.ends
+    ended = [c for c in weighed.counted if c.worse[ends : ends + 1].any()]
+    if weighed.lost(grid) or any(not c.calm for c in weighed.idle):
+        outcome = Outcome.NOT_USABLE
+        ended = ended or list(weighed.wrecked or weighed.idle)
+    elif weighed.excused or weighed.idle:
+        outcome = Outcome.TOO_CALM
+        ended = [*weighed.excused, *weighed.idle]
+    return Part(
+        name=name,
+        kind=kind,
+        outcome=outcome,
+        useful_seconds=weighed.useful(grid),
+        groups=tuple(dict.fromkeys(c.name for c in ended)),
+        worse_from=float(grid.seconds[ends]) if ends < len(grid.seconds) else None,
+    )
+
+
+def _kept(axis: Part, useful: float) -> bool:
+    """Whether an axis is judged, and as useful as all together."""
+    return axis.outcome is Outcome.USABLE and not denies(axis, useful)
+
+
+def _most(flights: Sequence[_Flight], parts: Sequence[Part]) -> list[_Flight]:
+    """The flights on which the model is not usable alone, the worst first, where they are more than
+    half of those that can be judged: what holds on the others does not make it usable."""
+    own = {p.name: p for p in parts if p.kind == "flight"}
+    judged = [p for p in own.values() if p.outcome is not Outcome.TOO_CALM]
+    bad = [f for f in flights if own[f[0]].outcome is Outcome.NOT_USABLE]
+    return sorted(bad, key=lambda f: f[1].ends) if 2 * len(bad) > len(judged) else []
+
+
+def _not_usable_on_most(
+    most: Sequence[_Flight], parts: Sequence[Part], hints: list[Hint]
+) -> _Finding:
+    """What the worst flight says, and how many say so."""
+    name, weighed, grid = most[0]
+    found = _not_usable(weighed, grid, hints)
+    judged = [p for p in parts if p.kind == "flight" and p.outcome is not Outcome.TOO_CALM]
+    said = f"NOT USABLE on {len(most)} of {len(judged)} flights alone, as on {name}: "
+    line = said + found.line.removeprefix("NOT USABLE: ") + useful_alone(parts)
+    return replace(found, line=line)
 
 
 def _judged(
@@ -270,7 +393,10 @@ def _compare(
     last: GroupErrors,
     floor: GroupErrors | None,
     grid: _Grid,
+    *,
+    name: str = "",
 ) -> _Comparison:
+    """One group, or the axis of it that is called `name`."""
     seconds, at, rule = grid.seconds, grid.at, grid.rule
     steps = len(seconds)
     own, held = model.mae[:steps], last.mae[:steps]
@@ -286,13 +412,13 @@ def _compare(
     # A sample that is missing at a horizon (references sampled more slowly) says nothing.
     known = np.isfinite(held) & ~np.isnan(own)
     worse = known & ~(own <= rival + rule.equal * held + np.where(np.isfinite(chance), chance, 0.0))
-    scale = 0.0 if kind.own else CALM[kind.name]
+    scale = 0.0 if kind.own else CALM[kind.name] / math.sqrt(len(kind.axes) if name else 1)
     if seconds[0] <= rule.sensor_sample:
         scale = max(scale, rule.noise_motion * float(held[0]))
     calm = bool(held[at] < scale)
     excused = calm and bool(np.nanmax(own[: at + 1]) <= 2.0 * scale)
     return _Comparison(
-        name=kind.name,
+        name=name or kind.name,
         kind=kind,
         model=own,
         last=held,
@@ -338,7 +464,7 @@ def _weigh(compared: Sequence[_Comparison], grid: _Grid) -> _Weighed:
         if counted
         else np.zeros(len(grid.seconds), dtype=bool)
     )
-    usual = [[c for c in counted if c.name in kind and not c.kind.own] for kind in KINDS]
+    usual = [[c for c in counted if c.kind.name in kind and not c.kind.own] for kind in KINDS]
     together = [*usual, *([c] for c in counted if c.kind.own)]
     return _Weighed(
         compared=compared,
@@ -351,17 +477,26 @@ def _weigh(compared: Sequence[_Comparison], grid: _Grid) -> _Weighed:
     )
 
 
-def _conclude(weighed: _Weighed, grid: _Grid, hints: list[Hint]) -> _Finding:
+def _conclude(
+    weighed: _Weighed,
+    grid: _Grid,
+    hints: list[Hint],
+    parts: Sequence[Part],
+    axes: Sequence[_Comparison],
+) -> _Finding:
     if weighed.lost(grid) or any(not c.calm for c in weighed.idle):
         return _not_usable(weighed, grid, hints)
     if weighed.excused or weighed.idle:
-        return _too_calm(weighed, grid)
-    kept = weighed.counted
-    claim = _claim(kept, (grid.seconds > grid.rule.short)[: weighed.ends])
+        return _too_calm(weighed, grid, parts)
+    seconds = weighed.useful(grid)
+    claim = _claim([*weighed.counted, *axes], (grid.seconds > grid.rule.short)[: weighed.ends])
+    if denied(parts, seconds):
+        claim = f"taken together, {claim}"
     skill = ", ".join(_compared(_skill(c, grid)) for c in weighed.compared)
     return _Finding(
         outcome=Outcome.USABLE,
-        line=f"{_useful(weighed, grid)}: {claim}; {grid.ahead:.2g} s ahead {skill}",
+        line=f"{_useful(weighed, grid)}{reservations(parts, seconds)}: {claim}; "
+        f"{grid.ahead:.2g} s ahead {skill}",
     )
 
 
@@ -402,7 +537,7 @@ def _starts_off(worst: _Comparison, grid: _Grid) -> bool:
     return bool(lost.any())
 
 
-def _too_calm(weighed: _Weighed, grid: _Grid) -> _Finding:
+def _too_calm(weighed: _Weighed, grid: _Grid, parts: Sequence[Part]) -> _Finding:
     """Groups that hardly move in these flights, and the flight that would tell."""
     which = [c for c in weighed.compared if c in weighed.excused or c in weighed.idle]
     names = " and ".join(_word(c.name) for c in which)
@@ -414,7 +549,8 @@ def _too_calm(weighed: _Weighed, grid: _Grid) -> _Finding:
         f"where holding the last value is nearly right; {action} ({anchor})"
     )
     if len(which) < len(weighed.compared):
-        line += f". The rest is {_useful(weighed, grid)}"
+        rest = [p for p in parts if p.outcome is not Outcome.TOO_CALM]
+        line += f". The rest is {_useful(weighed, grid)}{reservations(rest, weighed.useful(grid))}"
     return _Finding(
         outcome=Outcome.TOO_CALM,
         line=line,
@@ -469,14 +605,15 @@ def _claim(counted: Sequence[_Comparison], late: BoolArray) -> str:
     """What holds up to the end of use, at the horizons that are `late` enough: below the last
     value, or not above it by more than chance."""
     with np.errstate(invalid="ignore"):
-        above = [
-            c.name for c in counted if (c.model[: len(late)] > c.last[: len(late)])[late].any()
-        ]
-    if not above:
+        above = [c for c in counted if (c.model[: len(late)] > c.last[: len(late)])[late].any()]
+    # A group says it of its axes.
+    groups = {c.kind.name for c in above if c.name == c.kind.name}
+    names = [c.name for c in above if c.name == c.kind.name or c.kind.name not in groups]
+    if not names:
         return "errors stay below holding the last value"
     return (
         "no error is above holding the last value by more than chance "
-        f"({' and '.join(map(_word, above))}: level with it)"
+        f"({' and '.join(map(_word, names))}: level with it)"
     )
 
 
@@ -545,7 +682,7 @@ def _when(worst: _Comparison, seconds: FloatArray, at: int) -> str:
 
 def in_words(verdict: Verdict) -> list[str]:
     """One plain sentence per group: how much of the way from the last value to the measured IMU the
-    model covers."""
+    model covers; then the flights and axes that deny the verdict alone."""
     lines = []
     for g in verdict.groups:
         aim = "no error at all" if g.measured_imu is None else "the measured IMU"
@@ -565,4 +702,4 @@ def in_words(verdict: Verdict) -> list[str]:
             else f"; the last value is first better {g.worse_from:.2g} s ahead"
         )
         lines.append(f"{_word(g.name)} {g.seconds:.2g} s ahead: {said}{worse}{calm}")
-    return lines
+    return [*lines, *in_sentences(verdict)]

@@ -33,7 +33,7 @@ from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
 from greybox.takes import COUNT, FLIGHTS, MODEL, NUMBERS, POSITIVE, takes
 from greybox.validation.adapt import Adaptation, adapt_to_flight
-from greybox.validation.advice import Hint, Symptom, impossible, lacking
+from greybox.validation.advice import Hint, Symptom, hints_of_model, impossible, lacking
 from greybox.validation.baselines import (
     ImuBias,
     ImuRecord,
@@ -115,7 +115,8 @@ def validate(
     measured state, smoothed velocities included, as the benchmark does. Of every
     `every` samples (default: of `SPACING` seconds) one is an origin, `skip` seconds after the start
     of a segment at the earliest. `judged_on` says in words what the flights are to the model (default:
-    from the names of its training flights) and `hints` what else was seen; the verdict uses both.
+    from the names of its training flights) and `hints` what else was seen; the verdict uses both,
+    and what the model keeps of what its fit knew.
     `progress` gets a line per flight. Raises `DataError` (no usable flight, another sample time),
     `ModelError` (a smoothed channel is a measurement of the filter), `FitError`,
     `UnknownNameError` (a choice that there is not).
@@ -546,7 +547,7 @@ class _Work:
         """What the errors `own` say beside those of persistence (`held`) and dead reckoning
         (`floor`); None where the tables do not allow one."""
         assert self.judged_on is not None
-        hints = list(self.options.hints)
+        hints = [*hints_of_model(self.model), *self.options.hints]
         # Offsets of sensors differ from flight to flight too, but spoil no model by much.
         own_values = [n for n in self.model.flight_spread if "_bias." not in n]
         long = max((f.duration for f in self.dataset), default=0.0) > ADAPTED

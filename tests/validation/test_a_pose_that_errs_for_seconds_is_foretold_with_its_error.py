@@ -14,7 +14,9 @@ from greybox.model.noise import Augmented, Coloured
 from greybox.model.noise.gauss_markov import renewed
 from greybox.model.parameter import ParameterValues
 from greybox.validation.groups import error_norms
+from greybox.validation.horizon_table import GroupErrors, HorizonTable
 from greybox.validation.open_loop import GroupReader, predict_from
+from greybox.validation.result import Validation
 from greybox.validation.validate import validate
 from tests.validation.test_validate_judges_causally import DT, dataset, fly, make_model
 
@@ -108,3 +110,22 @@ def test_regions_that_are_too_narrow_are_said_to_be():
     assert "too narrow: the stated 95 % regions hold position" in told
     held = validate(white(1.0), dataset(segment), use_compiler=False).format()
     assert "hold position" not in held
+
+
+def test_every_horizon_that_a_region_is_too_narrow_at_is_said():
+    def held(*shares: float) -> GroupErrors:
+        one, n = np.ones(len(shares)), np.ones(len(shares), dtype=np.int64)
+        return GroupErrors(
+            mae=one, rmse=one, n=n, diverged=0 * n, origins=1, left_out=0,
+            coverage={0.95: np.array(shares)},
+        )  # fmt: skip
+
+    groups = {"rate": held(0.35, 0.65, 0.66, 0.672), "position": held(0.95, 0.93, 0.85, 0.91)}
+    rows = HorizonTable(label="model", sample_time=0.1, required=2, groups=groups)
+    told = Validation(
+        model="m", file=None, flights=[], sample_time=0.1, horizons=(1, 2, 3, 4), table=rows
+    )
+    assert told.table_text().splitlines()[-1] == (
+        "too narrow: the stated 95 % regions hold rate 35 to 67 % 0.1, 0.2, 0.3, 0.4 s ahead; "
+        "position 85 % 0.3 s ahead"
+    )

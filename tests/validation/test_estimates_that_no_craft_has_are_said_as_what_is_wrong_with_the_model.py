@@ -6,16 +6,20 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from greybox.estimation.conclusion import _bound_warnings
 from greybox.estimation.fit import Estimate, fit, noise_of
+from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters
 from greybox.model.model import build_model
 from greybox.model.vehicle import Quantity, Vehicle
-from greybox.validation.advice import Symptom, hints_of_fit
-from greybox.validation.sanity import ADVICE, LIMITS, sanity, sanity_of, untried
+from greybox.model.verdict import Outcome, Verdict
+from greybox.validation.advice import Hint, Symptom, hints_of_fit, hints_of_model, likely
+from greybox.validation.sanity import ADVICE, LIMITS, sanity, sanity_of, sanity_of_model, untried
 from tests.simulated import ERRORS, flights, vehicle
+from tests.simulators.identified import identified
 
 EFFECTS = ("motor_lag", "command_delay")
 
@@ -227,6 +231,57 @@ def test_nobody_is_told_to_add_what_the_model_has():
         untried("add rotor_asymmetry", {"rotor_asymmetry"})
         == "look at the innovations and at greybox check"
     )
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "possible"),
+    [(7.96, 0.55, False), (-7.96, 0.55, False), (2.7, 1.6, True), (0.3, 0.01, True)],
+)
+def test_an_offset_that_no_sensor_has_is_impossible(value: float, std: float, possible: bool):
+    """An offset of a g is the thrust that a log without a pose does not tell from it."""
+    model = offset(value, std)
+    (*found,) = [f for f in sanity_of_model(model).findings if "accelerometer" in f.statement]
+    assert len(found) == (not possible)
+    for f in found:
+        assert f.severity == "impossible" and f.parameters == ("accelerometer_bias.b_z",)
+        assert f.statement.endswith(f"b_z is {value:.3g} m/s^2 (no craft has more than 2.5)")
+
+
+def test_a_model_says_of_itself_what_its_fit_said():
+    """Whoever validates it later is told the cause that the fit knew first."""
+    said = hints_of_model(offset(7.96, 0.55))
+    assert [h.symptom for h in said] == [Symptom.IMPOSSIBLE]
+    seen = Hint(symptom=Symptom.SATURATED, detail="a: a command is at u_max for 4.5 %")
+    reason, _, anchor = likely([seen, *said], Symptom.RATE)
+    assert anchor == Symptom.IMPOSSIBLE.anchor and "accelerometer_bias.b_z is 7.96" in reason
+
+
+@pytest.mark.parametrize("symptom", [Symptom.NOT_CONVERGED, Symptom.BOUNDS, Symptom.SATURATED])
+def test_what_a_fit_gave_as_its_reason_is_said_again_unless_its_flights_showed_it(symptom: Symptom):
+    reason, action, anchor = likely([Hint(symptom=symptom, detail="mass, inertia.xx")], symptom)
+    own = Verdict(
+        outcome=Outcome.NOT_USABLE,
+        line="NOT USABLE",
+        useful_seconds=0.0,
+        judged_seconds=1.0,
+        judged_on="a",
+        flights=("a",),
+        groups=(),
+        reason=reason,
+        action=action,
+        anchor=anchor,
+    )
+    said = hints_of_model(replace(offset(0.1, 0.05), verdict=own))
+    hint = Hint(symptom=symptom, detail="mass, inertia.xx")
+    assert said == (() if symptom is Symptom.SATURATED else (hint,))
+
+
+def offset(value: float, std: float) -> IdentifiedModel:
+    """A model whose accelerometer is off by `value` +- `std` along z."""
+    name = "accelerometer_bias.b_z"
+    given = {f"accelerometer_bias.b_{a}": 0.0 for a in "xy"} | {name: value}
+    square = np.array([[std**2]])
+    return replace(identified(given), covariance_names=(name,), covariance=square)
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.5, 0), (0.1, 1)])

@@ -11,6 +11,10 @@ from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
+POSSIBLE = 2.5
+"""Largest offset that a sensor has [m/s^2]: 250 mg, the widest zero-g offset of a data sheet
+(ADXL345, z). More is thrust, weight, another axis or another unit."""
+
 
 class AccelerometerBias(Effect):
     """a_meas = a + b, constant during a flight."""
@@ -36,7 +40,13 @@ class AccelerometerBias(Effect):
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """b_x, b_y, b_z [m/s^2]; scope flight."""
         return vector_parameters(
-            "b_", "xyz", unit="m/s^2", scale=0.1, meaning="accelerometer bias", scope="flight"
+            "b_",
+            "xyz",
+            unit="m/s^2",
+            scale=0.1,
+            meaning="accelerometer bias",
+            scope="flight",
+            possible=POSSIBLE,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:

@@ -11,6 +11,10 @@ from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr
 
+POSSIBLE = 1.3
+"""Largest offset that a sensor has [rad/s]: 75 deg/s, the widest zero-rate level of a data sheet
+(L3G4200D at 2000 deg/s). More is another axis or another unit."""
+
 
 class GyroBias(Effect):
     """omega_meas = omega + b, constant during a flight."""
@@ -36,7 +40,13 @@ class GyroBias(Effect):
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """b_x, b_y, b_z [rad/s]; scope flight."""
         return vector_parameters(
-            "b_", "xyz", unit="rad/s", scale=0.01, meaning="gyro bias", scope="flight"
+            "b_",
+            "xyz",
+            unit="rad/s",
+            scale=0.01,
+            meaning="gyro bias",
+            scope="flight",
+            possible=POSSIBLE,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
