@@ -33,6 +33,7 @@ ANGLES = ("phi", "theta", "psi")
 SIZES = {
     **{"d_position": 1.0, "d_velocity": 1.0, "d_attitude": 0.3, "d_rate": 1.0},
     **{"d_rotor": 0.3, "d_rotor_shown": 0.3},
+    **{"d_rotor_pull": 0.3, "d_rotor_shown_pull": 0.3},
 }
 
 

@@ -5,11 +5,12 @@ another form, a misalignment of the pose for an IMU that is turned in its mount.
 good, the numbers are not, and no scatter shows it: every flight is bent alike. So every effect of
 the catalogue that the model lacks is asked for at the end of a fit (`greybox.statistics.rivals`):
 one run of the filter per parameter tells how much likelier the flights were with it, and where the
-estimates would go. So is every effect that is held at nothing, at its bound: flights that push
-beyond it by more than chance have a wrong clock, or a model of a wrong form, which comes first.
-Error bars hold that, and what would go further than its error allows is said to be no measurement.
-Where nothing would, pushes without a name stand for the effect: in flights like these. The model
-stays: naming what is missing is for `greybox discover`.
+estimates would go; what a delay hides from it is asked for elsewhere (`greybox.automatic.ridge`).
+So is every effect that is held at nothing, at its bound: flights that push beyond it by more than
+chance have a wrong clock, or a model of a wrong form, which comes first. Error bars hold that, and
+what would go further than its error allows is said to be no measurement. Where nothing would,
+pushes without a name stand for the effect: in flights like these. The model stays: naming what is
+missing is for `greybox discover`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from greybox.automatic.ridge import on_the_ridge
 from greybox.automatic.widened import HELD, moved_away, no_measurement, widened
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
@@ -35,7 +37,7 @@ from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.model import PhysicsModel
 from greybox.statistics.evidence import FELT
-from greybox.statistics.rivals import Averaged, Form, Parabola, averaged
+from greybox.statistics.rivals import Averaged, Form, Parabola, averaged, price_of
 from greybox.symbolic import BoolArray, FloatArray
 
 UNKNOWN = "no craft has that: a clock, a sign or the form of the model is wrong"
@@ -60,7 +62,8 @@ def with_rivals(found: Fit, data: Dataset) -> Fit:
     try:
         with threadpool_limits(limits=1):
             at, wide, there = _parabola(found, data, physics)
-            seen = averaged(at)
+            more = on_the_ridge(found, data, _offered(physics, data), at.fitted, price_of(at))
+            seen = averaged(at, more)
     except (GreyboxError, np.linalg.LinAlgError):  # a larger model that cannot predict
         return found
     return found if seen.best is None else _told(found, at, seen, wide, there)

@@ -27,7 +27,7 @@ Stage = Literal["command", "rotor", "thrust", "body", "wrench", "sensor"]
 
 SLOTS: Mapping[str, frozenset[str]] = {
     "command": frozenset({"delay", "command"}),
-    "rotor": frozenset({"steady_factor", "lag", "lag_asymmetry", "lag_speed"}),
+    "rotor": frozenset({"steady_factor", "lag", "lag_asymmetry", "lag_speed", "lag_second"}),
     "thrust": frozenset({"thrust_factor", "torque_factor", "thrust_increment"}),
     "body": frozenset({"mass_factor", "inertia_increment", "center_of_mass"}),
     "wrench": frozenset({"force", "moment", "hub_force", "wind"}),
@@ -36,12 +36,13 @@ SLOTS: Mapping[str, frozenset[str]] = {
 """What an effect of a stage may return. command: delays add [s], commands form the fixed chain;
 rotor: factors multiply, at most one lag [s], longer by lag_asymmetry of itself for rotors that slow
 down and shorter by as much for those that speed up, its inverse growing with speed in the share
-lag_speed; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors multiply,
-increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the
-hubs, winds [m/s] in world axes add; sensor: the value replaces that of the sensor of that name, in
-the order of `Effect.order`, delays of a clock (see `greybox.model.clock`) [s] add."""
+lag_speed, of second order by lag_second; thrust: factors multiply T_i or Q_i, then increments [N]
+add; body: factors multiply, increments add; wrench: forces [N] and moments [N m] add in body axes,
+hub_force (3 x n) acts at the hubs, winds [m/s] in world axes add; sensor: the value replaces that
+of the sensor of that name, in the order of `Effect.order`, delays of a clock (see
+`greybox.model.clock`) [s] add."""
 
-EARLY = frozenset({"delay", "lag", "lag_asymmetry", "lag_speed", "wind"}) | DELAYS
+EARLY = frozenset({"delay", "lag", "lag_asymmetry", "lag_speed", "lag_second", "wind"}) | DELAYS
 """Slots that the model must know before it comes to their stage: states, window and airspeeds
 depend on them."""
 

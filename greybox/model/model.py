@@ -44,7 +44,7 @@ from greybox.model.felt import Felt
 from greybox.model.flow import Remembered
 from greybox.model.parameter import Parameter
 from greybox.model.rigid_body import PUSHES, RigidBody
-from greybox.model.rotors import Rotors, rotor_path
+from greybox.model.rotors import Rotors, Turning, rotor_path
 from greybox.model.sensor import Sensor, first_complete
 from greybox.model.sensor_clocks import OWN, TELEMETRY, Instant, Passage, SensorClocks
 from greybox.model.sensors import SENSORS, USUAL
@@ -141,6 +141,10 @@ class PhysicsModel(Shown):
     @property
     def _has_lag(self) -> bool:
         return self._rotors.have_lag
+
+    @property
+    def _has_pull(self) -> bool:
+        return self._rotors.have_pull
 
     @property
     def memory_sizes(self) -> dict[str, float]:
@@ -255,8 +259,9 @@ class PhysicsModel(Shown):
     def states(self) -> Layout:
         """Kept blocks of the rigid body, what is remembered, rotor speeds where there is a lag.
 
-        position.x, ..., memory.<effect or sensor>.<name>, rotor.1 .. rotor.n, and once more as
-        telemetry shows them, late: rotor_shown.1 .. rotor_shown.n.
+        position.x, ..., memory.<effect or sensor>.<name>, rotor.1 .. rotor.n, what pulls them in a
+        lag of second order: rotor_pull.1 .. rotor_pull.n, and all that once more as telemetry shows
+        it, late: rotor_shown.1 .. rotor_shown.n and rotor_shown_pull.1 .. rotor_shown_pull.n.
         """
         rows = [
             Signal(name=f"{b}.{a}", unit=BLOCKS[b].unit, meaning=b)
@@ -282,18 +287,21 @@ class PhysicsModel(Shown):
         return Layout(rows + self._rotor_signals("d_", "rotor error"))
 
     def _rotor_signals(self, prefix: str, meaning: str) -> list[Signal]:
-        kinds = {"rotor": meaning, "rotor_shown": f"{meaning}, as telemetry shows it"}
+        late = "as telemetry shows it"
+        pulls = [("", meaning), ("_pull", f"{meaning}, what pulls it")][: 1 + self._has_pull]
+        kinds = [(f"rotor{kind}", said) for kind, said in pulls]
+        kinds += [(f"rotor_shown{kind}", f"{said}, {late}") for kind, said in pulls]
         return [
             Signal(name=f"{prefix}{kind}.{i + 1}", unit="-", meaning=said)
-            for kind, said in list(kinds.items())[: self._copies]
+            for kind, said in kinds[: self._copies]
             for i in range(self._n)
         ]
 
     @property
     def _copies(self) -> int:
         """How often the rotors are among the states: once where they lag, twice where they are
-        shown late."""
-        return int(self._has_lag) + int(self._clocks.follow)
+        shown late, and each with what pulls them in a lag of second order."""
+        return (int(self._has_lag) + int(self._clocks.follow)) * (1 + self._has_pull)
 
     def _memory_signals(self, prefix: str) -> list[Signal]:
         return [
@@ -374,10 +382,15 @@ class PhysicsModel(Shown):
         kept = [*self._felt.blocks, *(["memory"] if self._staged.remembered else [])]
         return ca.vertcat(*(blocks[b] for b in kept), *([nu] if self._has_lag else []))
 
-    def _speeds(self, rotors: Expr) -> tuple[Expr, Expr]:
-        """(speeds now, speeds as telemetry shows them) of the rotor states."""
-        n = self._n
-        return (rotors[:n], rotors[n:]) if self._clocks.follow else (rotors, rotors)
+    def _turning(self, rotors: Expr) -> tuple[Turning, Turning]:
+        """(rotors now, rotors as telemetry shows them) of the rotor states."""
+        turning = self._rotors.turning
+        if not self._has_lag:
+            return Turning(rotors), Turning(rotors)
+        if not self._clocks.follow:
+            return turning(rotors), turning(rotors)
+        half = self._n * (1 + self._has_pull)
+        return turning(rotors[:half]), turning(rotors[half:])
 
     def _noise(self, w: Expr) -> Expr:
         """Noise of `PUSHES` and of drifting memories, zeros for what the model does not have.
@@ -399,13 +412,13 @@ class PhysicsModel(Shown):
         blocks, rotors = self._split(x)
         values = self._values(p)
         goal = self._rotors.goal(u, values)
-        nu, shown = self._speeds(rotors)
-        nu_rate = self._rotors.rate(nu, goal, values)
+        now, shown = self._turning(rotors)
+        change = self._rotors.rates(now, goal, values)
         d = self.body.rates(
-            blocks, nu if self._has_lag else goal, nu_rate, u, values, self._noise(w)
+            blocks, now.speed if self._has_lag else goal, change.speed, u, values, self._noise(w)
         )
-        follow = [self._rotors.rate(shown, goal, values)] if self._clocks.follow else []
-        return self._join(d, ca.vertcat(nu_rate, *follow))
+        follow = [self._rotors.rates(shown, goal, values).stacked] if self._clocks.follow else []
+        return self._join(d, ca.vertcat(change.stacked, *follow))
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as noise does."""
@@ -423,47 +436,48 @@ class PhysicsModel(Shown):
     ) -> Expr:
         blocks, rotors = self._split(x)
         noise, push = self._noise(w), self._noise(lasting)
-        speeds = self._speeds(rotors)
-        readings = self._clocks.readings(blocks, speeds, u, passages, values, noise, push)
+        turning = self._turning(rotors)
+        readings = self._clocks.readings(blocks, turning, u, passages, values, noise, push)
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample: rotors exactly, rigid body by Runge-Kutta 4, unit quaternion."""
         blocks, rotors = self._split(x)
         values = self._values(p)
-        nu, shown = self._speeds(rotors)
+        now, shown = self._turning(rotors)
         u_a, u, switch = self._commands.held(window, self._clocks.command_age(OWN, values), dt)
-        pull = (self._rotors.goal(u_a, values), self._rotors.goal(u, values))
+        goals = (self._rotors.goal(u_a, values), self._rotors.goal(u, values))
         held, length = (u, values, self._noise(w)), dt / self.parts
         for k in range(self.parts):
             at = switch if self.parts == 1 else ca.fmin(ca.fmax(switch - k * length, 0.0), length)
-            blocks, nu = self._runge_kutta(blocks, nu, pull, at, held, length)
+            blocks, now = self._runge_kutta(blocks, now, goals, at, held, length)
         follow = [self._followed(shown, window, values, dt)] if self._clocks.follow else []
-        return self._join(blocks, ca.vertcat(nu, *follow))
+        return self._join(blocks, ca.vertcat(now.stacked, *follow))
 
-    def _followed(self, shown: Expr, window: Expr, values: Mapping[str, Expr], dt: Expr) -> Expr:
+    def _followed(self, shown: Turning, window: Expr, values: Mapping[str, Expr], dt: Expr) -> Expr:
         """The rotors that telemetry shows after dt: they follow the commands of their own
         instant."""
         age = self._commands.sent(self._clocks.command_age(TELEMETRY, values), dt)
         u_a, u_b, switch = self._commands.held(window, age, dt)
         goals = (self._rotors.goal(u_a, values), self._rotors.goal(u_b, values))
-        return rotor_path(shown, *goals, switch, dt, partial(self._rotors.decay, values=values))[1]
+        leg = partial(self._rotors.leg, values=values)
+        return rotor_path(shown, *goals, switch, dt, leg)[1].stacked
 
     def _runge_kutta(
         self,
         blocks: dict[str, Expr],
-        nu: Expr,
-        pull: tuple[Expr, Expr],
+        now: Turning,
+        goals: tuple[Expr, Expr],
         switch: Expr,
         held: tuple[Expr, dict[str, Expr], Expr],
         dt: Expr,
-    ) -> tuple[dict[str, Expr], Expr]:
-        """Blocks and rotors after dt, where rotors are pulled to the first, from `switch` on to the
-        second speed; command, parameters and noise are `held`."""
+    ) -> tuple[dict[str, Expr], Turning]:
+        """Blocks and rotors after dt, where rotors go to the first, from `switch` on to the second
+        of the `goals`; command, parameters and noise are `held`."""
         u, values, noise = held
-        start = nu if self._has_lag else pull[0]
-        path, end = rotor_path(start, *pull, switch, dt, partial(self._rotors.decay, values=values))
-        slope = (end - nu) / dt if self._has_lag else end * 0
+        start = now if self._has_lag else Turning(goals[0])
+        path, end = rotor_path(start, *goals, switch, dt, partial(self._rotors.leg, values=values))
+        slope = (end.speed - now.speed) / dt if self._has_lag else end.speed * 0
 
         def rates(states: Mapping[str, Expr], speed: Expr) -> dict[str, Expr]:
             return self.body.rates(states, speed, slope, u, values, noise)

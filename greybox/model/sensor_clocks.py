@@ -22,7 +22,7 @@ from greybox.model.clock import CLOCKS, ROTOR_CLOCK, STATE_CLOCK
 from greybox.model.command_window import CommandWindow
 from greybox.model.flow import Flow
 from greybox.model.rigid_body import RigidBody
-from greybox.model.rotors import path_means, positive
+from greybox.model.rotors import Turning, path_means, positive
 from greybox.symbolic import Expr
 
 
@@ -151,27 +151,28 @@ class SensorClocks:
     def readings(
         self,
         x: Mapping[str, Expr],
-        speeds: tuple[Expr, Expr],
+        turning: tuple[Turning, Turning],
         u: Expr,
         passages: Mapping[Instant, Passage],
         values: Mapping[str, Expr],
         w: Expr,
         lasting: Expr,
     ) -> dict[str, Expr]:
-        """Readings by sensor name, of states `x` and rotors at `speeds` (now, and as telemetry
-        shows them) that the command u drives, under the noise `w` of the coming step and what
+        """Readings by sensor name, of states `x` and rotors `turning` (now, and as telemetry shows
+        them) that the command u drives, under the noise `w` of the coming step and what
         pushes now and before."""
-        nu, followed = speeds
+        now, followed = turning
         rotors = self.body.rotors
         goal = rotors.goal(u, values)
-        rate = rotors.rate(nu, goal, values)
+        aim = rotors.aim(now, goal, values)
+        rate = rotors.rates(Turning(now.speed), aim, values).speed
         force, _, flow = self.body.accelerations(
-            x, nu if rotors.have_lag else goal, rate, u, values, w + lasting
+            x, now.speed if rotors.have_lag else goal, rate, u, values, w + lasting
         )
         shown = self.shown(flow, force, x, values)
         for at in self.apart:
-            end = followed if self.follow and at == TELEMETRY else None
-            seen = self.shown(*self.state_at(passages[at], x, nu, values, w, lasting, end), values)
+            end = followed.speed if self.follow and at == TELEMETRY else None
+            seen = self.shown(*self.state_at(passages[at], x, now, values, w, lasting, end), values)
             shown |= {name: seen[name] for name in self.instants[at]}
         return shown
 
@@ -193,14 +194,14 @@ class SensorClocks:
         self,
         way: Passage,
         x: Mapping[str, Expr],
-        nu: Expr,
+        now: Turning,
         values: Mapping[str, Expr],
         w: Expr,
         lasting: Expr,
         known: Expr = None,
     ) -> tuple[Flow, Expr, dict[str, Expr]]:
         """(flow, specific force [m/s^2], states) at the end of `way`, from states `x` and rotors
-        `nu` at its start; at its end they are as `known`, where they are.
+        `now` at its start; at its end they are as `known`, where they are.
 
         Bodies move by the midpoint rule, rotors exactly. The noise `w` of the coming step acts
         ahead of the states alone, what is `lasting` on both sides.
@@ -211,7 +212,9 @@ class SensorClocks:
         if rotors.have_lag:
             # Backwards a settled rotor would run away: there the lag counts as no shorter than
             # the way.
+            nu = now.speed
             tau = positive(rotors.lag_over(nu, goal, values))
+            goal = rotors.aim(now, goal, values, ca.fabs(back))
             tau = ca.if_else(back > 0, ca.fmax(tau, back), tau)
             nu_rate = (goal - nu) / ca.fmax(tau, ca.fabs(back))
             mean, early = path_means(-back / tau)

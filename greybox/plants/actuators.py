@@ -29,6 +29,7 @@ class Actuators:
         for asymmetry in hooks(effects, "lag_asymmetry"):
             self._up, self._down = self._up * (1.0 - asymmetry()), self._down * (1.0 + asymmetry())
         self._drag = next((d() for d in hooks(effects, "lag_drag")), None)
+        self._second: Number = sum(b() for b in hooks(effects, "lag_second"))
         self._instant_up, self._instant_down = self._zero(self._up), self._zero(self._down)
         positive = [float(v) for tau in (self._up, self._down) for v in np.ravel(tau) if v > 0.0]
         self.shortest_lag = min(positive, default=0.0)
@@ -37,6 +38,8 @@ class Actuators:
         self._history: list[tuple[float, list[Number]]] = []
         self.nu: list[Number] = []
         self.target: list[Number] = []
+        self.pull: list[Number] = []
+        """What the speeds follow: the targets, or a state of its own in a lag of second order."""
 
     @staticmethod
     def _zero(tau: Number) -> Number:
@@ -46,11 +49,11 @@ class Actuators:
     def reset(self, command: Number) -> None:
         """All rotors have held `command` for ever."""
         self._history = [(float("-inf"), [command] * self._rotors)]
-        self.nu = self.target = [command] * self._rotors
+        self.nu = self.target = self.pull = [command] * self._rotors
 
     def settle(self, voltage: Number) -> None:
         """Put the speeds at the steady state of the present command at this voltage [V]."""
-        self.nu = self.target = self.steady(self._history[-1][1], voltage)
+        self.nu = self.target = self.pull = self.steady(self._history[-1][1], voltage)
 
     def hold(self, time: float, command: list[Number]) -> None:
         """From `time` on the flight controller sends `command`."""
@@ -95,8 +98,21 @@ class Actuators:
         """Speed just after the target changed: the target itself where there is no lag."""
         return where(where(target > nu, self._instant_up, self._instant_down), target, nu)
 
-    def relax(self, nu: list[Number], duration: float) -> list[Number]:
-        """Speeds `duration` [s] later, on their way to the present targets."""
+    def relax(self, duration: float) -> tuple[list[Number], list[Number]]:
+        """Speeds and pulls `duration` [s] later, on their way to the present targets."""
+        first = self._relax_first(duration)
+        if np.all(np.equal(self._second, 0.0)):
+            return first, self.target
+        there = [self._swung(*now, duration) for now in zip(self.nu, self.pull, self.target)]
+        plain = np.equal(self._second, 0.0)
+        return (
+            [where(plain, f, n) for f, (n, _) in zip(first, there)],
+            [where(plain, s, m) for s, (_, m) in zip(self.target, there)],
+        )
+
+    def _relax_first(self, duration: float) -> list[Number]:
+        """Speeds `duration` [s] later, of a lag of first order."""
+        nu = self.nu
         if self._drag is not None:
             return [self._dragged(n, s, duration) for n, s in zip(nu, self.target)]
         if self._up is self._down:
@@ -106,6 +122,23 @@ class Actuators:
             s + (n - s) * self._decay(where(s > n, self._up, self._down), duration)
             for n, s in zip(nu, self.target)
         ]
+
+    def _swung(
+        self, nu: Number, pull: Number, target: Number, duration: float
+    ) -> tuple[Number, Number]:
+        """(speed, pull) of a lag of second order, by its two modes, waves or not."""
+        tau = self._lag(nu, target)
+        still = tau == 0.0
+        tau, b = where(still, 1.0, tau), where(self._second == 0.0, 1.0, self._second)
+        root = np.sqrt(1.0 - 4.0 * b + 0j)
+        root = np.where(np.abs(root) < 1e-6, 1e-6, root)
+        one, two = (-1.0 + root) / (2.0 * b * tau), (-1.0 - root) / (2.0 * b * tau)
+        off = nu - target
+        part = ((pull - nu) / tau - two * off) / (one - two)
+        modes = part * np.exp(one * duration), (off - part) * np.exp(two * duration)
+        gap, slope = np.real(modes[0] + modes[1]), np.real(one * modes[0] + two * modes[1])
+        speed = where(still, target, target + gap)
+        return speed, where(still, target, speed + tau * slope)
 
     def _dragged(self, nu: Number, target: Number, duration: float) -> Number:
         """Bernoulli's equation of a rotor with the drag of its propeller, solved."""
@@ -128,12 +161,21 @@ class Actuators:
         instant = tau == 0.0
         return where(instant, 0.0, exponential(-duration / where(instant, 1.0, tau)))
 
-    def speed_rate(self, nu: Number, target: Number) -> Number:
-        """dnu/dt [1/s]; zero for a rotor without lag."""
+    def _lag(self, nu: Number, target: Number) -> Number:
+        """Time constant [s] of a rotor on its way."""
         tau = self._up if self._up is self._down else where(target > nu, self._up, self._down)
-        if self._drag is not None:
-            own, drag = self._drag
-            tau = tau / (own + drag * (nu + target))
+        if self._drag is None:
+            return tau
+        own, drag = self._drag
+        return tau / (own + drag * (nu + target))
+
+    def rates(self, nu: list[Number], pull: list[Number]) -> list[Number]:
+        """dnu/dt [1/s] of rotors on their way to the present targets; zero for one without lag."""
+        return [self._rate(*now) for now in zip(nu, pull, self.target)]
+
+    def _rate(self, nu: Number, pull: Number, target: Number) -> Number:
+        tau = self._lag(nu, target)
+        aim = where(np.equal(self._second, 0.0), target, pull)
         if isinstance(tau, float):
-            return 0.0 if tau == 0.0 else (target - nu) / tau
-        return where(tau == 0.0, 0.0, (target - nu) / where(tau == 0.0, 1.0, tau))
+            return 0.0 if tau == 0.0 else (aim - nu) / tau
+        return where(tau == 0.0, 0.0, (aim - nu) / where(tau == 0.0, 1.0, tau))

@@ -238,16 +238,10 @@ class Quadrotor:
     def _advance(self, time: float, h: float) -> None:
         """One Runge-Kutta step of length h [s], rotor speeds exact at its three instants."""
         act = self._actuators
-        target, begin = act.target, act.nu
-        half, end = act.relax(begin, 0.5 * h), act.relax(begin, h)
+        now, half, end = (act.nu, act.pull), act.relax(0.5 * h), act.relax(h)
         at_begin, at_half, at_end = (
-            (
-                speeds,
-                [act.speed_rate(n, s) for n, s in zip(speeds, target)]
-                if self._needs_speed_rate
-                else [],
-            )
-            for speeds in (begin, half, end)
+            (speeds, act.rates(speeds, pulls) if self._needs_speed_rate else [])
+            for speeds, pulls in (now, half, end)
         )
         f = self.physics.derivative
         rest = (self.voltage, self._disturbance.force, self._disturbance.torque)
@@ -261,7 +255,7 @@ class Quadrotor:
         new[6:10] = normalised((new[6], new[7], new[8], new[9]))
         first = self._reading(time, *at_begin) if self._memory is not None else []
         self._state = new
-        act.nu = end
+        act.nu, act.pull = end
         if self._memory is not None:
             self._memory.keep(time, time + h, first, self._reading(time + h, *at_end))
 
@@ -271,9 +265,9 @@ class Quadrotor:
         act = self._actuators
         if u is not None:
             act.hold(self.time, self._columns(u))
-        target = act.steady(act.at(self.time), self.voltage)
-        nu = [act.start(n, s) for n, s in zip(act.nu, target)]
-        return nu, [act.speed_rate(n, s) for n, s in zip(nu, target)]
+        act.target = act.steady(act.at(self.time), self.voltage)
+        nu = [act.start(n, s) for n, s in zip(act.nu, act.target)]
+        return nu, act.rates(nu, act.pull)
 
     def _reading(self, time: float, nu: list[Number], nu_rate: list[Number]) -> list[Number]:
         """Undelayed noise-free gyro, specific force, attitude, position, velocity (16 values) and

@@ -79,11 +79,16 @@ class Averaged:
     best: Form | None
 
 
-def averaged(at: Parabola) -> Averaged:
+def price_of(at: Parabola) -> float:
+    """What each of k causes costs, log k, since so many were asked."""
+    return float(np.log(max(len(at.felt()), 1)))
+
+
+def averaged(at: Parabola, others: Sequence[Form] = ()) -> Averaged:
     """The average over the fit and its rivals, see the module. Forms are sought by steps, each
-    from the likeliest of the last one; each of k causes costs log k, since so many were asked."""
+    from the likeliest of the last one; `others` are known already, from beyond the parabola."""
     felt, size = at.felt(), len(at.fitted)
-    price = np.log(max(len(felt), 1))
+    price = price_of(at)
     found: list[Form] = []
     best: Form | None = None
     while len(() if best is None else best.causes) < TOGETHER:
@@ -94,6 +99,7 @@ def averaged(at: Parabola) -> Averaged:
             break
         found += likelier
         best = max(likelier, key=lambda f: f.log_odds)
+    found += others
     spread, shift = np.zeros((size, size)), np.zeros(size)
     if not found:
         return Averaged(spread=spread, shift=shift, best=None)
@@ -102,7 +108,7 @@ def averaged(at: Parabola) -> Averaged:
     for form, weight in zip(found, (weights / weights.sum())[1:], strict=True):
         spread += weight * (form.more + np.outer(form.shift, form.shift))
         shift += weight * form.shift
-    return Averaged(spread=spread, shift=shift, best=best)
+    return Averaged(spread=spread, shift=shift, best=max(found, key=lambda f: f.log_odds))
 
 
 def likeliest(at: Parabola, prices: Mapping[str, float]) -> Form | None:

@@ -261,6 +261,7 @@ OWN: dict[str, Own] = {
             "motor_lag",
             "motor_lag_asymmetry",
             "motor_lag_speed",
+            "motor_lag_second",
             "thrust_curve",
             "command_delay",
         ),

@@ -27,6 +27,7 @@ LOW = RandomWaypoints(center=(0.0, 0.0, 0.12), box=(1.0, 1.0, 0.06))
 CASES = {
     "motor_lag_asymmetry": {"a": 0.3},
     "motor_lag_speed": {"s": 0.5},
+    "motor_lag_second": {"b": 0.6},
     "command_saturation": {"a_hi": 0.35},
     "axial_inflow": {"k_z": 2e-6},
     "translational_lift": {"k_h": 2e-4},

@@ -78,7 +78,7 @@ def random_state(model, rng) -> np.ndarray:
     letters = {"position": "xyz", "velocity": "xyz", "attitude": "wxyz", "rate": "xyz"}
     out = []
     for name in model.states.names:
-        block, axis = name.replace("rotor_shown", "rotor").split(".")
+        block, axis = name.replace("_shown", "").replace("_pull", "").split(".")
         out.append(blocks[block][letters[block].index(axis) if block in letters else int(axis) - 1])
     return np.array(out)
 

@@ -99,7 +99,8 @@ def state(model, **given) -> np.ndarray:
         "rotor": [0.5] * 4,
     }
     values = rest | given
-    values.setdefault("rotor_shown", values["rotor"])
+    for late in ("rotor_pull", "rotor_shown", "rotor_shown_pull"):
+        values.setdefault(late, values["rotor"])
     counters: dict[str, int] = {}
     out = []
     for name in model.states.names:

@@ -28,6 +28,7 @@ VALUES = {
     "motor_lag": {"tau": 0.03},
     "motor_lag_asymmetry": {"a": 0.4},
     "motor_lag_speed": {"s": 0.25},
+    "motor_lag_second": {"b": 0.6},
     "battery_sag": {"c_V": 0.8},
     "rotor_asymmetry": {"delta_1": 0.03, "delta_2": -0.05, "delta_3": 0.04},
     "thrust_level": {"s": -0.04},
@@ -65,6 +66,7 @@ NEEDED = {
     ),
     "motor_lag_asymmetry": ("motor_lag",),
     "motor_lag_speed": ("motor_lag",),
+    "motor_lag_second": ("motor_lag",),
 }
 """Effects without which another is not felt."""
 LOW = {"ground_effect"}
@@ -209,9 +211,8 @@ def test_every_effect_that_a_plant_can_hide_is_compared():
 
 
 def test_all_effects_at_once_agree_too():
-    difference = largest_difference(
-        *fly({k: v for k, v in VALUES.items() if k != "rotor_gyroscopic"})
-    )
+    own = {"rotor_gyroscopic", "motor_lag_second"}  # see below
+    difference = largest_difference(*fly({k: v for k, v in VALUES.items() if k not in own}))
     assert max(difference.values()) < 1e-6, difference
 
 
@@ -226,7 +227,8 @@ def test_rotors_that_lag_turn_the_body_by_their_mean_acceleration():
         largest_difference(seen, plain, names),
     )
     assert all(difference[c] < 1e-3 * effect[c] for c in "pqr")
-    assert max(largest_difference(*fly(VALUES)).values()) < 5e-4
+    rest = {k: v for k, v in VALUES.items() if k != "motor_lag_second"}
+    assert max(largest_difference(*fly(rest)).values()) < 5e-4
 
 
 @pytest.mark.parametrize("tau", [0.03, 0.8 * DT])
@@ -242,6 +244,36 @@ def test_a_rotor_that_its_propeller_damps_is_exact_at_every_sample(share, tau):
     difference = largest_difference(*fly(effects))
     assert max(v for k, v in difference.items() if k.startswith("omega")) < 1e-12
     assert max(difference.values()) < 2e-4, difference
+
+
+@pytest.mark.parametrize("tau", [0.03, 0.8 * DT])
+@pytest.mark.parametrize("b", [0.02, 0.2, 0.25, 0.3, 1.0, 3.0])
+def test_a_rotor_of_second_order_is_exact_at_every_sample(b, tau):
+    """Two lags, equal ones and waves, with commands that switch inside a step; thrust, its square,
+    follows the straight line with the rotor's mean and first moment."""
+    effects = {
+        "command_delay": {"d": 2.4 * DT},
+        "motor_lag": {"tau": tau},
+        "motor_lag_second": {"b": b},
+    }
+    difference = largest_difference(*fly(effects))
+    assert max(v for k, v in difference.items() if k.startswith("omega")) < 1e-10
+    assert max(difference.values()) < 1e-4, difference
+
+
+@pytest.mark.parametrize(
+    ("beside", "close"),
+    [
+        ({"motor_lag_speed": {"s": 0.5}}, 2e-4),
+        ({"motor_lag_asymmetry": {"a": 0.2}}, 2e-3),
+        ({"rotor_gyroscopic": {"J_r": 5e-5}}, 2e-3),
+    ],
+)
+def test_second_order_holds_a_lag_that_changes_on_the_way_over_a_step(beside, close):
+    difference = largest_difference(
+        *fly({"motor_lag": {"tau": 0.03}, "motor_lag_second": {"b": 0.6}} | beside)
+    )
+    assert max(difference.values()) < close, difference
 
 
 @pytest.mark.parametrize(

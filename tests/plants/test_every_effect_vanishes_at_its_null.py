@@ -26,6 +26,7 @@ from greybox.plants.effects import (
     MocapMisalignment,
     MotorLag,
     MotorLagAsymmetry,
+    MotorLagSecond,
     MotorLagSpeed,
     ParasiticDrag,
     PayloadMass,
@@ -65,6 +66,7 @@ AWAY = {
     RotorDrag: DRAG,
     MotorLagAsymmetry: MotorLagAsymmetry(a=0.4),
     MotorLagSpeed: MotorLagSpeed(hover=0.7, s=0.5),
+    MotorLagSecond: MotorLagSecond(b=0.6),
     SteadyWind: SteadyWind(w_x=1.0),
     ThrustCurve: ThrustCurve(f=0.2),
     ThrustLevel: ThrustLevel(s=0.05),
@@ -90,6 +92,7 @@ NEEDED = {
     SteadyWind: (DRAG,),
     MotorLagAsymmetry: (MotorLag(tau=0.03),),
     MotorLagSpeed: (MotorLag(tau=0.03),),
+    MotorLagSecond: (MotorLag(tau=0.03),),
 }
 """What an effect is felt through."""
 

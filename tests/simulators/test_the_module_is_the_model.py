@@ -25,6 +25,7 @@ EVERYTHING = {
     "constant_force.f_x": 0.2,
     "motor_lag_asymmetry.a": 0.2,
     "motor_lag_speed.s": 0.4,
+    "motor_lag_second.b": 0.6,
     "command_saturation.a_hi": 0.05,
     "gyro_bias.b_x": 0.02,
     "pose_delay.d": 0.013,

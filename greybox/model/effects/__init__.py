@@ -24,6 +24,7 @@ from greybox.model.effects.imu_misalignment import ImuMisalignment
 from greybox.model.effects.mocap_misalignment import MocapMisalignment
 from greybox.model.effects.motor_lag import MotorLag
 from greybox.model.effects.motor_lag_asymmetry import MotorLagAsymmetry
+from greybox.model.effects.motor_lag_second import MotorLagSecond
 from greybox.model.effects.motor_lag_speed import MotorLagSpeed
 from greybox.model.effects.parasitic_drag import ParasiticDrag
 from greybox.model.effects.payload_mass import PayloadMass
@@ -50,6 +51,7 @@ CATALOGUE: tuple[Effect, ...] = (
     MotorLag(),
     MotorLagAsymmetry(),
     MotorLagSpeed(),
+    MotorLagSecond(),
     BatterySag(),
     RotorAsymmetry(),
     ThrustLevel(),

@@ -20,6 +20,7 @@ from greybox.plants.effects.imu_misalignment import ImuMisalignment
 from greybox.plants.effects.mocap_misalignment import MocapMisalignment
 from greybox.plants.effects.motor_lag import MotorLag
 from greybox.plants.effects.motor_lag_asymmetry import MotorLagAsymmetry
+from greybox.plants.effects.motor_lag_second import MotorLagSecond
 from greybox.plants.effects.motor_lag_speed import MotorLagSpeed
 from greybox.plants.effects.parasitic_drag import ParasiticDrag
 from greybox.plants.effects.payload_mass import PayloadMass
@@ -56,6 +57,7 @@ CATALOGUE: tuple[type[PlantEffect], ...] = (
     MocapMisalignment,
     MotorLag,
     MotorLagAsymmetry,
+    MotorLagSecond,
     MotorLagSpeed,
     ParasiticDrag,
     PayloadMass,

@@ -131,6 +131,10 @@ class PlantEffect:
         """(b, k) tau / J of a rotor J dnu/dt = b (target - nu) + k (target^2 - nu^2)."""
         return (1.0, 0.0)
 
+    def lag_second(self) -> Number:
+        """b of a rotor b lag^2 nu'' + lag nu' + nu = target."""
+        return 0.0
+
     # thrust
     def thrust_factor(self, hub: Hub) -> Number:
         """Factor on the thrust of one rotor."""
