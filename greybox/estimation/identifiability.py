@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.statistics.evidence import FELT
 from greybox.statistics.regret import information_on
 from greybox.symbolic import FloatArray
 
@@ -50,7 +51,8 @@ def unidentified(
     their estimates and `scales` (k,) their typical sizes.
 
     What is known of a parameter is measured against its typical size, or against its value where
-    that is larger: an estimate that happens to be next to zero may be known as well as any.
+    that is larger: an estimate that happens to be next to zero may be known as well as any. A
+    change is one of the value, where data tell that from nothing.
     """
     k = len(names)
     if not k:
@@ -58,6 +60,8 @@ def unidentified(
     diagonal = np.diag(information)
     sizes = np.maximum(np.abs(np.asarray(values, dtype=np.float64)), np.asarray(scales))
     sizes = np.copysign(sizes, values)
+    told = np.abs(values) * np.sqrt(np.maximum(diagonal, 0.0)) > FELT
+    changed = np.where(told, values, sizes)
     known = diagonal * sizes**2
     alone = np.flatnonzero(known <= 1e-14 * known.max()).tolist()
     out = [
@@ -80,7 +84,7 @@ def unidentified(
         if value > WEAK * eigenvalues[-1]:
             break
         step = v / size  # change of the parameters along the direction
-        relative = step / sizes[seen]
+        relative = step / changed[seen]
         if not np.abs(relative).max() > 0:
             continue
         weights = relative / relative[np.argmax(np.abs(relative))]

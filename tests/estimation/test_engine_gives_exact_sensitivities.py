@@ -97,6 +97,7 @@ class Scene:
         groups = np.array(physics_of(model).channel_groups)
         patterns[0, (groups == "rotation") | (groups == "position")] = 0.0  # as with a slow camera
         patterns[1, groups == "rotor_speed"] = 1.0  # nothing else feels their scale
+        patterns[1, ~patterns.any(axis=0)] = 1.0  # every channel is seen in one of them
         self.mask = patterns[self.pattern]
         mild = gain_size * 2e-3 * np.where(groups == "rotor_speed", 1e-3, 1.0)  # rad/s are many
         self.gain = mild * rng.normal(size=(2, nd, ne)) * patterns[:, None, :]
