@@ -105,9 +105,7 @@ def _parabola(
         sigma[i] = min(sigma[i], priors[names[i]][1])
     prior = np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0
     pulls = _pull_of_declared(wide, at)
-    # What flights deny may be another craft's: it asks for no cause that brings it nearer.
-    squared = np.divide(pulls**2, prior, out=np.zeros_like(prior), where=prior > 0)
-    lost = 1.0 - np.minimum(pull_left(squared), 1.0)
+    lost = _denied_share(pulls, prior)
     lost[n:] = 0.0
     prior *= 1.0 - lost
     information = value.data_hessian + np.diag(prior)
@@ -172,6 +170,13 @@ def _pull_of_declared(wide: Problem, at: FloatArray) -> FloatArray:
     sigma = np.array([u.sigma for u in wide.unknowns])
     mean = np.array([u.mean for u in wide.unknowns])
     return np.where(np.isfinite(sigma), (at - mean) / sigma**2, 0.0)
+
+
+def _denied_share(pulls: FloatArray, prior: FloatArray) -> FloatArray:
+    """Share (n,) that priors of precision `prior` lose, which pull so. What flights deny may be
+    another craft's: it asks for no cause that brings it nearer."""
+    squared = np.divide(pulls**2, prior, out=np.zeros_like(prior), where=prior > 0)
+    return np.asarray(1.0 - np.minimum(pull_left(squared), 1.0))
 
 
 def _offered(physics: PhysicsModel, data: Dataset) -> list[Effect]:
