@@ -28,7 +28,7 @@ from greybox.errors import GreyboxError
 from greybox.estimation.covariance import FEWEST_BLOCKS
 from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.estimation.laplace import at_bound
-from greybox.estimation.prior import pull_left
+from greybox.estimation.prior import prior_terms, pull_left
 from greybox.estimation.problem import Problem
 from greybox.estimation.result import Fit
 from greybox.model.absence import absence, not_offered
@@ -104,7 +104,7 @@ def _parabola(
     for i in of_causes:
         sigma[i] = min(sigma[i], priors[names[i]][1])
     prior = np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0
-    pulls = _pull_of_declared(wide, at)
+    pulls = prior_terms(wide.unknowns, at)[1]
     lost = _denied_share(pulls, prior)
     lost[n:] = 0.0
     prior *= 1.0 - lost
@@ -163,13 +163,6 @@ def _at_null(small: Problem, theta: FloatArray, held: BoolArray) -> frozenset[st
         for d in small.dynamics.parameters
         if value[d.name] == d.null and d.null in (d.lower, d.upper)
     )
-
-
-def _pull_of_declared(wide: Problem, at: FloatArray) -> FloatArray:
-    """Part of the gradient (n,) that is of the priors that unknowns were declared with."""
-    sigma = np.array([u.sigma for u in wide.unknowns])
-    mean = np.array([u.mean for u in wide.unknowns])
-    return np.where(np.isfinite(sigma), (at - mean) / sigma**2, 0.0)
 
 
 def _denied_share(pulls: FloatArray, prior: FloatArray) -> FloatArray:
