@@ -26,8 +26,8 @@ from greybox.model.layer import physics_of
 
 def with_lasting(found: Fit, data: Dataset) -> Fit:
     """The fit to `data` with errors that hold a force along the thrust that lasts and what a change
-    for good moves, and with what changed in words. As it was where nothing lasts, where it did not converge and where the
-    motion is not measured."""
+    for good moves, and with what changed in words. As it was where nothing lasts, where it did not
+    converge and where the motion is not measured."""
     physics = physics_of(found.problem.dynamics)
     if physics is None or not found.converged:
         return found

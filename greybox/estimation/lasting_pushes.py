@@ -11,8 +11,8 @@ k on adds to information, score and what it shares with the other unknowns is
     M_k = H_k' S^-1 H_k + F_k' M_{k+1} F_k,   r_k = H_k' S^-1 e_k + F_k' r_{k+1},
     X_k = H_k' S^-1 J_k + F_k' X_{k+1}
 
-in the rows of z (gains stay; the generalised likelihood ratio of Willsky and Jones 1976, IEEE Trans. Automatic
-Control 21(1), with the parameters of the model along).
+in the rows of z (gains stay; the generalised likelihood ratio of Willsky and Jones 1976, IEEE
+Trans. Automatic Control 21(1), with the parameters of the model along).
 """
 
 from __future__ import annotations

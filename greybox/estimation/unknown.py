@@ -20,9 +20,9 @@ class Unknown:
 
     `start`, `lower` and `upper` are in the unit of the unknown (a noise level: in its natural
     logarithm), `mean` and `sigma` those of its prior (sigma infinite: no prior), which is normal
-    or has `long_tails`, a `normal_core` within (see `greybox.estimation.prior`), `scale` is its typical size. `origin` is
-    the value at which the factor that it stands for vanishes (mass: 0, a share on top of a mass:
-    -1), not a number where it is none.
+    or has `long_tails`, a `normal_core` within (see `greybox.estimation.prior`), `scale` is its
+    typical size. `origin` is the value at which the factor that it stands for vanishes (mass: 0, a
+    share on top of a mass: -1), not a number where it is none.
     """
 
     name: str
