@@ -39,6 +39,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters
 from greybox.model.model import build_model
 from greybox.model.noise import part_named
+from greybox.model.noise_free import REASON, NoiseAdded, said_of_added, with_sensor_noise
 from greybox.model.vehicle import Vehicle
 from greybox.validation.calibration import calibrated
 from greybox.validation.sanity import sanity_of
@@ -60,7 +61,8 @@ def adaptation(recipe: Recipe, test: Dataset, asked: float | None = None) -> flo
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
     """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were
-    resampled to, None: their own; `names` are those of all flights that were given, in order."""
+    resampled to, None: their own; `names` are those of all flights that were given, in order;
+    `added` is noise of sensors that had none."""
 
     data: Dataset
     report: CheckReport
@@ -68,6 +70,7 @@ class Prepared:
     left_out: tuple[LeftOut, ...]
     rate: float | None
     names: tuple[str, ...]
+    added: tuple[NoiseAdded, ...] = ()
 
     def decisions(self) -> tuple[Decision, ...]:
         """What was done, as decisions."""
@@ -95,6 +98,9 @@ class Prepared:
             )
             for f in self.left_out
         ]
+        if self.added:
+            said, option = said_of_added(self.added), "--keep-noise-free"
+            out.append(Decision(about="sensors", choice=said, reason=REASON, option=option))
         return tuple(out)
 
 
@@ -113,10 +119,12 @@ def prepare(
     keep_impossible: bool = False,
     all_flights: bool = False,
     decide_rate: bool = True,
+    keep_noise_free: bool = False,
     accept: Iterable[str] = (),
 ) -> Prepared:
     """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs'
-    own where it is not to be decided). Findings of the checks in `accept` leave no flight out.
+    own where it is not to be decided). Findings of the checks in `accept` leave no flight out. Sensors
+    without noise get some (`greybox.model.noise_free`), if it is not to `keep_noise_free`.
 
     Raises `DataError` for logs that are no flights, `BadDataError` where no flight is left.
     """
@@ -142,8 +150,15 @@ def prepare(
         report = check(
             kept, vehicle, accept=report.accepted
         )  # offsets in samples are those of this rate
+    kept, added = (kept, ()) if keep_noise_free else with_sensor_noise(kept, vehicle)
     return Prepared(
-        data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names
+        data=kept,
+        report=report,
+        removed=removed,
+        left_out=left_out,
+        rate=wanted,
+        names=data.names,
+        added=added,
     )
 
 

@@ -78,6 +78,11 @@ def add(subparsers: Subcommands) -> None:
         help="decide nothing: what is not said has its plain default",
     )
     p.add_argument(
+        "--keep-noise-free",
+        action="store_true",
+        help="add no noise to sensors that have none, as a simulator's",
+    )
+    p.add_argument(
         "--judge-left-out",
         action="store_true",
         help="judge on pieces of the training flights that a fit of its own leaves out, too",

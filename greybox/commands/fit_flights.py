@@ -80,6 +80,7 @@ def _flights(
     from greybox.data.halves import demand_disjoint
     from greybox.data.logs import read_possible
     from greybox.estimation.record import sample_time
+    from greybox.model.noise_free import with_sensor_noise
 
     keep = bool(arguments.keep_impossible)
 
@@ -99,6 +100,7 @@ def _flights(
         keep_impossible=keep,
         all_flights=arguments.all_flights or arguments.manual,
         decide_rate=not arguments.manual,
+        keep_noise_free=arguments.keep_noise_free,
         accept=accepted(arguments.accept),
     )
     files = [
@@ -110,6 +112,8 @@ def _flights(
     dt = sample_time(prepared.data)
     if any(abs(f.dt - dt) > 1e-6 * dt for f in test):
         test = read_flights(others, vehicle, rate=1 / dt)
+    if not arguments.keep_noise_free:
+        test = with_sensor_noise(test, vehicle)[0]
     return prepared, test, files
 
 

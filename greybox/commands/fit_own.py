@@ -25,6 +25,7 @@ OF_VEHICLES: dict[str, object] = {
     "effects_file": [],
     "kinematic_noise": None,
     "keep_impossible": False,
+    "keep_noise_free": False,
     "all_flights": False,
     "accept": "",
 }

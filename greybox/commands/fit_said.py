@@ -86,6 +86,7 @@ def _explicit(job: Job, result: Fit) -> str:
     )
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
+    more += ["--keep-noise-free"] if arguments.keep_noise_free else []
     more += ["--accept", arguments.accept] if arguments.accept else []
     more += ["--judge-left-out"] if arguments.judge_left_out or not arguments.test else []
     return words + (" " + shlex.join(more) if more else "")

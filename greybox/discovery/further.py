@@ -32,6 +32,7 @@ from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import Known, known_numbers, since
 from greybox.model.noise import sensor_parts
+from greybox.model.noise_free import with_sensor_noise
 from greybox.statistics.betting import bar_of_several
 
 
@@ -101,7 +102,8 @@ def _told(model: IdentifiedModel, data: Dataset, own: Iterable[Effect]) -> tuple
     structure = frozenset(
         n for n in (*model.effects, *(p.name for p in parts)) if n in causes.offered
     )
-    flights = Flights(causes=causes, data=without_lead_in(data))
+    noisy = with_sensor_noise(data, model.physics.vehicle)[0]
+    flights = Flights(causes=causes, data=without_lead_in(noisy))
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     return flights, flights.fit(structure, [start])
 

@@ -41,6 +41,7 @@ from greybox.model.faults import faults_of
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import known_numbers, since
 from greybox.model.layer import physics_of
+from greybox.model.noise_free import REASON, said_of_added, with_sensor_noise
 from greybox.model.vehicle import Vehicle
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
@@ -98,7 +99,7 @@ def discover(
     result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError` (of a choice, too).
     """
     began = time.perf_counter()
-    options = DiscoverOptions.of(options, choices)
+    options, doubts = DiscoverOptions.of(options, choices), list[str]()
     train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     if tested is not None:
@@ -110,6 +111,9 @@ def discover(
             spent = time.perf_counter() - began
             return refused(faults, vehicle, settings_of(options), spent)
         _long_enough(train)
+        train, added = with_sensor_noise(train, vehicle)
+        tested = with_sensor_noise(tested, vehicle)[0] if tested else None
+        doubts += [f"{said_of_added(added)}: {REASON}"] if added else []
         options = _with_noise_of_clocks(options, faults)
     settings = settings_of(options)
     settings["sample_time"] = step = sample_time(train)
@@ -130,6 +134,7 @@ def discover(
         say=say,
         save=save or (lambda _found: None),
         began=began,
+        warnings=doubts,
     )
     return run.carried_out()
 

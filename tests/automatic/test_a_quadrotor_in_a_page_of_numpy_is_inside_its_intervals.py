@@ -63,7 +63,8 @@ def command(s: np.ndarray, aim: np.ndarray, shake: np.ndarray) -> np.ndarray:
     return np.sqrt(np.clip(np.linalg.solve(mix, np.array([lift, *moment])) / THRUST, 0.01, 1.0))
 
 
-def flight(path: Path, seed: int, seconds: float = 20.0) -> None:
+def flight(path: Path, seed: int, seconds: float = 20.0, random: float = 1.0) -> None:
+    """`random` scales the noise of the sensors and the gusts."""
     rng = np.random.default_rng(seed)
     s = np.concatenate(
         [np.zeros(6), [1, 0, 0, 0], np.zeros(3), np.full(4, np.sqrt(MASS * GRAVITY / 4 / THRUST))]
@@ -82,15 +83,17 @@ def flight(path: Path, seed: int, seconds: float = 20.0) -> None:
         u = command(s, aim, shake)
         around = np.add(slope(s, u, force, torque)[3:6], [0, 0, GRAVITY]) @ matrix(s[6:10])
         read = np.concatenate(
-            [s[:3] + 0.002 * rng.normal(size=3), s[3:6] + 0.02 * rng.normal(size=3)]
+            [
+                s[:3] + random * 0.002 * rng.normal(size=3),
+                s[3:6] + random * 0.02 * rng.normal(size=3),
+            ]
         )
-        q = s[6:10] + 0.0015 * np.array([0, *rng.normal(size=3)])
-        imu = np.concatenate([s[10:13], around]) + np.array(list(NOISE.values())) * rng.normal(
-            size=6
-        )
+        q = s[6:10] + random * 0.0015 * np.array([0, *rng.normal(size=3)])
+        level = random * np.array(list(NOISE.values()))
+        imu = np.concatenate([s[10:13], around]) + level * rng.normal(size=6)
         rows.append(np.concatenate([[k * STEP], u, read, q / np.linalg.norm(q), imu]))
-        force = memory * force + 0.12 * np.sqrt(1 - memory**2) * rng.normal(size=3)
-        torque = memory * torque + 0.002 * np.sqrt(1 - memory**2) * rng.normal(size=3)
+        force = memory * force + random * 0.12 * np.sqrt(1 - memory**2) * rng.normal(size=3)
+        torque = memory * torque + random * 0.002 * np.sqrt(1 - memory**2) * rng.normal(size=3)
         for _ in range(SUBSTEPS):
             h = STEP / SUBSTEPS
             a = slope(s, u, force, torque)
@@ -182,6 +185,31 @@ def test_the_plain_fit_of_single_flights_in_gusts_holds_at_least_seventeen_of_ei
         }
     assert inside >= 17
     assert np.sqrt(np.mean(np.square(moments))) < 0.01
+
+
+@pytest.mark.slow
+def test_flights_without_any_noise_converge_to_the_truth_and_say_what_was_added(
+    tmp_path: Path,
+) -> None:
+    for seed, name in enumerate("abc"):
+        flight(tmp_path / f"{name}.csv", seed, 10.0, random=0.0)
+    vehicle(tmp_path / "v.toml", np.random.default_rng(100))
+    words = ["--vehicle", str(tmp_path / "v.toml"), "--test", str(tmp_path / "c.csv"), "--train"]
+    found = fitted(tmp_path, *words, *(str(tmp_path / f"{n}.csv") for n in "ab"))
+    result = json.loads((tmp_path / f"out{len(words) + 2}" / "fit.json").read_text("utf-8"))
+    assert result["status"]["converged"]
+    assert "noise" in next(d["choice"] for d in result["decisions"] if d["about"] == "sensors")
+    assert all(n == "white" for n in noise_of_sensors(result))
+    for n, truth in TRUTH.items():
+        assert abs(found[n]["value"] - truth) <= max(3.0 * found[n]["std"], 0.002 * truth), n
+    again = fitted(tmp_path, *shlex.split(result["explicit"]["command"])[2:])
+    assert {n: e["value"] for n, e in again.items()} == {n: e["value"] for n, e in found.items()}
+
+
+def noise_of_sensors(result: dict[str, list[dict[str, str]]]) -> list[str]:
+    """What was decided of the noise of the pose and of the IMU."""
+    about = ("noise of the pose", "noise of the IMU")
+    return [d["choice"] for d in result["decisions"] if d["about"] in about]
 
 
 @pytest.mark.slow

@@ -1,0 +1,136 @@
+"""Noise-free: flights of a simulator that no sensor measured.
+
+A filter has no noise to weigh there. Errors of integration are then the only errors, every number
+is certain, and the search ends nowhere. So each such sensor gets the white noise of the best of its
+kind, and what is fitted, compared and judged is a flight as a good laboratory would log it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.data import Dataset, Flight
+from greybox.data.segment import Segment
+from greybox.model.model import sensors_for
+from greybox.model.sensor import Sensor
+from greybox.model.vehicle import Vehicle
+from greybox.symbolic import FloatArray
+
+BEST = 0.1
+"""Noise of the best sensor of a kind over what is typical: motion capture of 0.1 mm, a gyro of
+0.1 deg/s."""
+NONE = 0.005
+"""Share of what is typical below which a channel has no noise: a simulator's have 0.003 and less,
+the smoothed velocity of an estimator (NanoBench) 0.007 and more."""
+WINDOW = 256
+"""Samples of a window of the spectrum."""
+QUIET = 0.1
+"""Share of the spectrum that is quietest: motion hardly reaches it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseAdded:
+    """White noise that a sensor of some flights got: one standard deviation `level` of each
+    innovation component, in its `unit`."""
+
+    sensor: str
+    level: tuple[float, ...]
+    unit: str
+
+    def described(self) -> str:
+        """Its name and its size."""
+        low, high = min(self.level), max(self.level)
+        size = f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"
+        return f"{self.sensor} {size} {self.unit}".rstrip()
+
+
+REASON = (
+    "none of their channels has any, as a simulator's; the best sensors have a tenth of what is "
+    "typical"
+)
+"""Why noise was added."""
+
+
+def with_sensor_noise(data: Dataset, vehicle: Vehicle) -> tuple[Dataset, tuple[NoiseAdded, ...]]:
+    """The flights with white noise, the same ones each time, on every sensor that has none in any
+    of its channels; and what was added. Flights of real sensors are as they were."""
+    sensors = sensors_for(data.channels, vehicle)
+    silent = [s for s in sensors if s.usual and _has_none(s, data, vehicle)]
+    if not silent:
+        return data, ()
+    added = tuple(
+        NoiseAdded(
+            sensor=s.name,
+            level=tuple(_best(s, vehicle).tolist()),
+            unit=s.innovation_signals(vehicle)[0].unit,
+        )
+        for s in silent
+    )
+    return Dataset(flights=tuple(_noisy(f, silent, vehicle) for f in data)), added
+
+
+def said_of_added(added: Sequence[NoiseAdded]) -> str:
+    """What was added, in one line."""
+    return f"white noise added to {', '.join(a.described() for a in added)}"
+
+
+def _best(sensor: Sensor, vehicle: Vehicle) -> FloatArray:
+    """Noise of the best of its kind, one per innovation component."""
+    count = len(sensor.innovation_signals(vehicle))
+    return np.broadcast_to(BEST * np.asarray(sensor.typical_noise(vehicle), dtype=float), (count,))
+
+
+def _of_columns(sensor: Sensor, vehicle: Vehicle) -> FloatArray:
+    """The same per column; a unit quaternion turns by twice what its components change."""
+    best, n = _best(sensor, vehicle), len(sensor.signals(vehicle))
+    return best if n == len(best) else np.full(n, 0.5 * float(best.mean()))
+
+
+def _has_none(sensor: Sensor, data: Dataset, vehicle: Vehicle) -> bool:
+    """Whether no channel has any noise; one that does not change at all has none to tell."""
+    for signal, best in zip(sensor.signals(vehicle), _of_columns(sensor, vehicle), strict=True):
+        levels = [_level(s.column(signal.name)) for f in data for s in f.segments]
+        known = [v for v in levels if np.isfinite(v)]
+        if not known or max(known) > NONE / BEST * best:
+            return False
+    return True
+
+
+def _level(column: FloatArray) -> float:
+    """Standard deviation of white noise whose spectrum is as high as the quietest part of this
+    one's; NaN of a record that is too short."""
+    x = column[np.isfinite(column)]
+    n = min(WINDOW, x.size)
+    if n < WINDOW // 4:
+        return float("nan")
+    window, at = np.hanning(n), np.arange(n)
+    parts = np.array([x[i : i + n] for i in range(0, x.size - n + 1, max(n // 2, 1))])
+    slope, start = np.polyfit(at, parts.T, 1)
+    level = parts - start[:, None] - slope[:, None] * at
+    power = (np.abs(np.fft.rfft(level * window)) ** 2).mean(axis=0) / (window**2).sum()
+    return float(np.sqrt(np.quantile(power[2:-1], QUIET)))
+
+
+def _noisy(flight: Flight, sensors: Sequence[Sensor], vehicle: Vehicle) -> Flight:
+    """The flight with noise of its own on these sensors."""
+    random = np.random.default_rng([*flight.name.encode()])
+    segments = [_noisy_segment(s, sensors, vehicle, random) for s in flight.segments]
+    return replace(flight, segments=tuple(segments), fingerprint=flight.known_by)
+
+
+def _noisy_segment(
+    segment: Segment, sensors: Sequence[Sensor], vehicle: Vehicle, random: np.random.Generator
+) -> Segment:
+    found: dict[str, FloatArray] = {}
+    for sensor in sensors:
+        names = [x.name for x in sensor.signals(vehicle)]
+        rows = np.column_stack([segment.column(n) for n in names])
+        noisy = rows + _of_columns(sensor, vehicle) * random.standard_normal(rows.shape)
+        if sensor.length is not None:  # it turns, and stays as long as it was
+            long = np.linalg.norm(rows, axis=1) / np.linalg.norm(noisy, axis=1)
+            noisy *= long[:, None]
+        found.update(zip(names, noisy.T, strict=True))
+    return segment.replace(found)
