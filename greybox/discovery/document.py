@@ -71,10 +71,12 @@ class UnnamedRow(Grounds):
 
 
 class Candidate(TypedDict):
-    """One of a set, and the probability that it is the one if one of them is."""
+    """One of a set, the probability that it is the one if one of them is, and the numbers that
+    would then be others (parameter to value)."""
 
     name: str
     weight: float
+    elsewhere: NotRequired[dict[str, float]]
 
 
 class AmbiguousRow(TypedDict):

@@ -11,9 +11,12 @@ import numpy as np
 from greybox.discovery.certificate import UNKNOWN, Certificate, Instead
 from greybox.discovery.document import Grounds, WorthRow
 from greybox.discovery.evidence import Fitted, Flights
+from greybox.discovery.search import Rival
 from greybox.errors import GreyboxError
+from greybox.estimation.result import Fit
 from greybox.model.parameter import Parameter
 from greybox.planning.experiment import Manoeuvres, separating_manoeuvre
+from greybox.statistics.evidence import FELT
 from greybox.validation.worth import Worth
 
 Status = Literal["certified", "supported", "one of these", "trace", "impossible", "not certified"]
@@ -26,7 +29,8 @@ EXACT = 1e-3
 class Name:
     """One cause: its `status`, `certificate` and `worth` (None where no flight could tell). Of
     "one of these", `shares` are the probabilities of the sets of causes that the flights cannot
-    tell apart, itself first; `unlikely`: log (odds, e-value) against what all flights refute and
+    tell apart, itself first, and `elsewhere` what each of the others makes of numbers that it moves
+    beyond their errors; `unlikely`: log (odds, e-value) against what all flights refute and
     the certificate has no more; `reason`: why it has no name; `kept`: in the model without one."""
 
     name: str
@@ -34,6 +38,7 @@ class Name:
     certificate: Certificate
     worth: Worth | None
     shares: Mapping[str, float] = field(default_factory=dict)
+    elsewhere: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     unlikely: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     reason: str = ""
     kept: bool = False
@@ -123,6 +128,19 @@ def judged(
         reason=reason,
         kept=kept,
     )
+
+
+def with_values_elsewhere(name: Name, fit: Fit, rivals: Sequence[Rival]) -> Name:
+    """The name with what its like, where there are any, make of the numbers of `fit`."""
+    found = dict[str, dict[str, float]]()
+    for rival in rivals:
+        known = {n: v for (n, flight), v in rival.fitted.known.items() if flight is None}
+        found["+".join(rival.instead)] = {
+            n: known[n]
+            for n, e in fit.parameters.items()
+            if n in known and abs(known[n] - e.value) > FELT * e.std
+        }
+    return replace(name, elsewhere={s: found[s] for s in name.shares if found.get(s)})
 
 
 def unneeded(name: Name, beside: Certificate, bar: float) -> Name:

@@ -12,7 +12,7 @@ which is the whole truth for a linear model. A proposal decides nothing.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,7 +132,7 @@ class Scores:
             out[self.keys[i][0]] = float(self.sigma[i] * np.sqrt(needed * (v + 1)) / v)
         return out
 
-    def instead(self, gone: str) -> list[tuple[float, tuple[str, ...], Proposal]]:
+    def instead(self, gone: str) -> list[Instead]:
         """For a cause that is present: (share of what its absence costs that they take over, names,
         first estimate) of absent causes, alone and in pairs, most first."""
         own, (information, score) = self._rows([gone]), self._apart([gone])
@@ -168,7 +168,23 @@ class Scores:
             # A pair counts where it closes half of what the better of both leaves, and clearly.
             if len(names) == 1 or share - alone > max(0.5 * (1 - alone), CLEARLY / cost):
                 rows.append((share, names, p))
-        return sorted(rows, key=lambda row: (-row[0], len(row[1])))
+        return _members_first(sorted(rows, key=lambda row: (-row[0], len(row[1]))), singles)
+
+
+Instead = tuple[float, tuple[str, ...], Proposal]
+
+
+def _members_first(rows: Sequence[Instead], singles: Mapping[str, float]) -> list[Instead]:
+    """The same rows, before each pair those of its members that take over enough alone: what the
+    straight line says of a large delay leaves room for any partner, and the fit does not."""
+    alone = {names[0]: row for row in rows if len(names := row[1]) == 1}
+    ordered: dict[tuple[str, ...], Instead] = {}
+    for row in rows:
+        for name in sorted(row[1], key=lambda n: -singles[n]):
+            if singles[name] >= RULES.stand_in:
+                ordered.setdefault((name,), alone[name])
+        ordered.setdefault(row[1], row)
+    return list(ordered.values())
 
 
 def scored(flights: Flights, at: Fitted) -> Scores:

@@ -141,9 +141,17 @@ class Discovery(Shown):
     def _parameters(self, name: str) -> dict[str, document.Estimate]:
         assert self.fit is not None
         own = {n: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
-        std = {n: e.std if np.isfinite(e.std) else None for n, e in own.items()}
+        wide = {n: float(np.hypot(e.std, self._apart(n, e.value))) for n, e in own.items()}
+        std = {n: error if np.isfinite(error) else None for n, error in wide.items()}
         rows = [(n.split(".", 1)[-1], e.value, std[n], e.unit) for n, e in own.items()]
         return {n: {"value": value, "std": s, "unit": unit} for n, value, s, unit in rows}
+
+    def _apart(self, parameter: str, value: float) -> float:
+        """How far its value is spread over the causes that the flights cannot tell apart: one
+        standard deviation."""
+        asked = [(n.shares[s], there) for n in self.names for s, there in n.elsewhere.items()]
+        terms = [w * (there.get(parameter, value) - value) ** 2 for w, there in asked]
+        return float(np.sqrt(sum(terms)))
 
     @property
     def final_effects(self) -> tuple[Effect, ...]:
@@ -176,7 +184,10 @@ class Discovery(Shown):
         """Sets of causes that the flights cannot tell apart."""
         return [
             {
-                "candidates": [{"name": c, "weight": w} for c, w in n.shares.items()],
+                "candidates": [
+                    {"name": c, "weight": w, "elsewhere": dict(n.elsewhere.get(c, {}))}
+                    for c, w in n.shares.items()
+                ],
                 "separating_manoeuvre": self.separating.get(n.name),
                 "log10_e": n.certificate.rivals.get((), 0.0) / LOG10,
                 "parameters": self._parameters(n.name),
@@ -284,6 +295,9 @@ class Discovery(Shown):
             rows = [own, *(c["name"] for c in a["candidates"][1:])]
             shares = (f", {c['weight']:.0%}" for c in a["candidates"])
             lines.append("  one of " + " / ".join(map("".join, zip(rows, shares, strict=True))))
+            for c in a["candidates"]:
+                moved = ", ".join(f"{k} = {v:.4g}" for k, v in c.get("elsewhere", {}).items())
+                lines += [f"    with {c['name']}: {moved}"] * bool(moved)
             if fly := a["separating_manoeuvre"]:
                 size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
                 lines.append(f"    to tell them apart, {fly['text']}{size}")

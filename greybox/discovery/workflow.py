@@ -25,7 +25,15 @@ from greybox.discovery.certificate import certificates, certificates_beside, spl
 from greybox.discovery.document import SearchSettings, settings_of
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
-from greybox.discovery.name import Name, held, impossible, judged, separating, unneeded
+from greybox.discovery.name import (
+    Name,
+    held,
+    impossible,
+    judged,
+    separating,
+    unneeded,
+    with_values_elsewhere,
+)
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.own_cause import offer_own
 from greybox.discovery.result import Discovery
@@ -371,7 +379,8 @@ class _Run:
             without = next(r.fitted for r in rivals[name] if not r.instead)
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new, RULES.span)
-            names.append(judged(certificate, good, odd[name], self.needed, alpha, self.bar))
+            said = judged(certificate, good, odd[name], self.needed, alpha, self.bar)
+            names.append(with_values_elsewhere(said, self.settled(at), rivals[name]))
         keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]

@@ -198,8 +198,15 @@ def _alike(report: Report, content: DiscoveryDocument) -> None:
             "Something of these is there; the flights that judged cannot say which. Shares are the "
             "probabilities if it is one of them."
         )
-        rows: list[list[Cell]] = [[c["name"], _percent(c["weight"])] for c in a["candidates"]]
-        report.table(["candidate", "share"], rows, numeric=(1,))
+        rows: list[list[Cell]] = [
+            [
+                c["name"],
+                _percent(c["weight"]),
+                ", ".join(f"{n} = {v:.4g}" for n, v in c.get("elsewhere", {}).items()),
+            ]
+            for c in a["candidates"]
+        ]
+        report.table(["candidate", "share", "numbers that it would move"], rows, numeric=(1,))
         fly = a["separating_manoeuvre"]
         if isinstance(fly, Mapping):
             _manoeuvre(report, fly)

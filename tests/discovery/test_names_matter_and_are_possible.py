@@ -4,6 +4,7 @@ and is none."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,14 @@ from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import Certificate, Whole
 from greybox.discovery.evidence import Fitted, Flights, problem_of
-from greybox.discovery.name import held, impossible, judged
+from greybox.discovery.name import Name, held, impossible, judged, with_values_elsewhere
+from greybox.discovery.result import Discovery
 from greybox.discovery.rules import RULES
+from greybox.discovery.search import Rival
 from greybox.discovery.workflow import discover
 from greybox.errors import ModelError, VehicleError
 from greybox.estimation.problem import Value
+from greybox.estimation.result import Fit
 from greybox.estimation.status import Code, Status
 from greybox.validation.gap import HeldOutErrors
 from greybox.validation.worth import seconds, worth
@@ -163,6 +167,50 @@ def test_shares_of_a_set_are_probabilities_and_follow_the_evidence():
     assert list(name.shares) == ["a", "b", "c+d"]
     assert sum(name.shares.values()) == pytest.approx(1.0)
     assert name.shares["c+d"] > name.shares["a"] > name.shares["b"]
+
+
+def set_of_two(moved: float, fit: Fit) -> Name:
+    """a or b, of which b moves the damping about x to `moved`."""
+    name = judged(
+        certificate(nothing=20.0, b=1.0),
+        worth(foresight(1.0), foresight(0.5), RULES.span),
+        "",
+        BAR,
+        ALPHA,
+    )
+    known = {(n, None): e.value for n, e in fit.parameters.items()}
+    known["rotational_damping.d_p", None] = moved
+    fitted = SimpleNamespace(known=known)
+    rivals = [Rival(instead=(), fitted=fitted), Rival(instead=("b",), fitted=fitted)]
+    return with_values_elsewhere(name, fit, rivals)
+
+
+def test_the_number_of_a_name_holds_what_causes_make_of_it_that_look_alike():
+    """A late IMU and a late pose, or late commands and another late pose: the same readings."""
+    flights = small_world.damped()
+    fit = flights.settled(flights.fit({"rotational_damping"}))
+    own = fit.parameters["rotational_damping.d_p"]
+    beyond = own.value + 10 * own.std
+    two = set_of_two(beyond, fit)
+    assert two.elsewhere == {"b": {"rotational_damping.d_p": beyond}}
+    sure = replace(
+        judged(certificate(nothing=20.0), None, "", BAR, ALPHA), name="rotational_damping"
+    )
+    found = Discovery(
+        verdict="named", names=(sure, two), fit=fit, bar=BAR, omega_known=False, seconds=0.0
+    )
+    (row,) = found.effects()
+    wide = np.sqrt(own.std**2 + two.shares["b"] * (beyond - own.value) ** 2)
+    assert row["parameters"]["d_p"]["std"] == pytest.approx(wide)
+    assert row["parameters"]["d_q"]["std"] == fit.parameters["rotational_damping.d_q"].std
+    assert f"with b: rotational_damping.d_p = {beyond:.4g}" in found.summary()
+
+
+def test_numbers_that_stay_within_their_errors_are_not_told_twice():
+    flights = small_world.damped()
+    fit = flights.settled(flights.fit({"rotational_damping"}))
+    own = fit.parameters["rotational_damping.d_p"]
+    assert set_of_two(own.value + own.std, fit).elsewhere == {}
 
 
 def test_a_size_that_no_craft_has_is_a_fault_of_the_data():

@@ -57,6 +57,25 @@ def test_exact_collinearity_is_found_alone_and_in_pairs():
     assert found[frozenset({"c"})] < 0.3
 
 
+def test_who_takes_over_enough_alone_is_asked_before_it_is_asked_with_a_partner():
+    world, _ = drawn(4, {"a": np.array([9.0])})
+    rng = np.random.default_rng(6)
+    partner = rng.standard_normal((len(world.y), 1))
+    # Nearly the cause; what it leaves is what the partner has, as the curve of a large delay is.
+    world.columns = {
+        **world.columns,
+        "near": world.columns["a"] - 0.3 * partner,
+        "partner": partner,
+        "other": partner + 0.1 * rng.standard_normal((len(world.y), 1)),
+    }
+    rows = scores(world, ("a",)).instead("a")
+    shares = {names: share for share, names, _ in rows}
+    order = [names for _, names, _ in rows]
+    assert shares[order[0]] < shares[order[1]]
+    assert order[0] == ("near",) and "near" in order[1]
+    assert order.count(("near",)) == 1 and len(order) == len(set(order))
+
+
 def test_pairs_are_proposed_where_each_leaves_room_for_the_other():
     rng = np.random.default_rng(0)
     n = 400
