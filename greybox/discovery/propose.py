@@ -72,6 +72,8 @@ class Scores:
     upper: FloatArray
     places: dict[str, tuple[int, ...]]
     absent: tuple[str, ...]
+    readings: int = 0
+    """Readings of all sensors that were foretold."""
     unscored: tuple[str, ...] = ()
     """Causes that bring a motion which the fit does not have (a velocity that nothing measures):
     their score would be that of a state that nobody holds, and only a fit can tell."""
@@ -123,13 +125,17 @@ class Scores:
         return Proposal(causes=tuple(names), gain=gain, start=start)
 
     def smallest(self, name: str, bar: float, share: float) -> dict[str, float]:
-        """Per parameter of an absent cause, the size whose expected log e-value is `bar` on flights
-        with `share` of the information of these."""
+        """Per parameter of an absent cause, the size that is certain and worth a name: its expected
+        log e-value is `bar` on flights with `share` of the information of these, and it is no trace
+        of one reading, let alone ahead. Sizes beyond a bound are left out."""
         out, (information, _) = {}, self._apart()
         for i in self._rows([name]):
-            v = share * float(information[i, i])
-            needed = 2 * bar + np.log1p(v)
-            out[self.keys[i][0]] = float(self.sigma[i] * np.sqrt(needed * (v + 1)) / v)
+            whole = float(information[i, i])
+            v = share * whole
+            certain = np.sqrt((2 * bar + np.log1p(v)) * (v + 1)) / v
+            size = float(self.sigma[i]) * max(certain, np.sqrt(RULES.trace * self.readings / whole))
+            if size <= max(self.upper[i] - self.null[i], self.null[i] - self.lower[i]):
+                out[self.keys[i][0]] = size
         return out
 
     def instead(self, gone: str) -> list[Instead]:
@@ -237,6 +243,7 @@ def scored(flights: Flights, at: Fitted) -> Scores:
         upper=np.array([unknowns[i].upper for i in chosen]),
         places={n: tuple(place[i] for i in rows) for n, rows in mine.items()},
         absent=tuple(absent),
+        readings=sum(int(np.count_nonzero(r.mask)) for r in problem.records),
         unscored=tuple(unscored),
     )
 

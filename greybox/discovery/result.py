@@ -272,7 +272,7 @@ class Discovery(Shown):
         seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
         return (
             f"{rough}NOTHING MISSING"
-            + f" (would have been certified from {seen} on, ...)" * bool(seen)
+            + f" (would have been named from {seen} on at the latest, ...)" * bool(seen)
         )
 
     def summary(self) -> str:
@@ -300,7 +300,9 @@ class Discovery(Shown):
                 lines += [f"    with {c['name']}: {moved}"] * bool(moved)
             if fly := a["separating_manoeuvre"]:
                 size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
-                lines.append(f"    to tell them apart, {fly['text']}{size}")
+                apart = f"to tell them apart, {fly['text']}{size}"
+                never = "no manoeuvre that was tried tells all of them apart"
+                lines.append(f"    {never if fly['seconds_to_bic_10'] is None else apart}")
         lines += [f"  {t['status']}: {t['name']}, {t['reason']}" for t in self.traces()]
         for n in self.said("not certified"):
             lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")

@@ -36,6 +36,8 @@ from greybox.symbolic import FloatArray
 
 OTHERS = 3
 """How many runners-up are listed."""
+ROUNDED = 0.02
+"""Share of what the truth itself loses that two models lose apart by the rounding of their fits."""
 
 
 class ManoeuvreRow(TypedDict):
@@ -113,10 +115,10 @@ def separations(
             say(manoeuvre.text)
         try:
             told = [
-                divergence(fitted, log, known[other])
+                against_truth
                 for truth, log in own.items()
-                for other, fitted in rivals.items()
-                if other != truth and log is not None
+                if log is not None
+                for against_truth in _ratios(rivals, log, known, truth)
             ]
         except GreyboxError:
             continue
@@ -126,6 +128,21 @@ def separations(
             )
         )
     return sorted(out, key=lambda s: -s.expected)
+
+
+def _ratios(
+    rivals: Mapping[str, Fit],
+    log: Dataset,
+    known: Mapping[str, Mapping[str, Mapping[str, float]]],
+    truth: str,
+) -> list[float]:
+    """Log likelihood that each rival loses against the `truth` that flew the log, which is not
+    quite its own: how a flight starts is not told. Where two differ by no more than that rounds
+    they are one model in other words."""
+    lost = {n: divergence(fitted, log, known[n]) for n, fitted in rivals.items()}
+    own = lost.pop(truth)
+    ratios = [max(v - own, 0.0) for v in lost.values()]
+    return [r if r > ROUNDED * max(own, 1.0) else 0.0 for r in ratios]
 
 
 def separating_manoeuvre(

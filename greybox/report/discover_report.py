@@ -215,10 +215,11 @@ def _alike(report: Report, content: DiscoveryDocument) -> None:
 def _manoeuvre(report: Report, fly: Manoeuvres) -> None:
     """What to fly so that the candidates part."""
     report.paragraph(
-        "What tells them apart: every manoeuvre below was flown in simulation with each candidate "
-        "as "
-        "the truth. Listed is the log likelihood ratio that the other candidates are expected to "
-        "lose, whatever they bend within what these flights allow."
+        "None of these manoeuvres tells all of them apart: some are one model in other words. "
+        * (fly["seconds_to_bic_10"] is None)
+        + "Every manoeuvre below was flown in simulation with each candidate as the truth. "
+        "Listed is the log likelihood ratio that the other candidates are expected to lose, "
+        "whatever they bend within what these flights allow."
     )
     rows: list[list[Cell]] = [
         [

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from greybox.discovery.propose import proposals
+from greybox.discovery.rules import RULES
 from tests.discovery.linear_world import World, drawn, scores
 
 
@@ -96,3 +97,15 @@ def test_what_would_be_certified_shrinks_with_the_flights():
         scores(drawn(1, {}, samples=n)[0]).smallest("a", 6.0, 0.5)["a.k_0"] for n in (60, 960)
     )
     assert many == pytest.approx(few / 4, rel=0.3)
+
+
+def test_what_would_be_certified_is_worth_a_name_and_within_bounds():
+    """A centre of mass off by 10 nm is certain on exact flights, and worth nothing."""
+    found = scores(drawn(1, {}, samples=960)[0])
+    size = found.smallest("a", 6.0, 0.5)["a.k_0"]
+    weighed = replace(found, readings=100_000).smallest("a", 6.0, 0.5)["a.k_0"]
+    (row,) = found.places["a"]
+    share = found.information[row, row] * (weighed / found.sigma[row]) ** 2 / 100_000
+    assert weighed > 2 * size and share == pytest.approx(RULES.trace, rel=0.01)
+    near = replace(found, lower=found.null - size / 2, upper=found.null + size / 2)
+    assert near.smallest("a", 6.0, 0.5) == {}

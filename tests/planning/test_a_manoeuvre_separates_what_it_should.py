@@ -50,6 +50,16 @@ def test_speed_separates_drags_and_hover_does_not():
     )
 
 
+def test_one_model_in_two_fits_is_not_separated_by_how_a_flight_starts():
+    """The truth itself does not foretell the start of its own flight: that separates nothing."""
+    fit = rivals()["rotor_drag"]
+    fast = tuple(m for m in LIBRARY if m.name == "climb_at_speed")
+    told = separations({"one": fit, "other": fit}, library=fast, seconds=3.0)
+    assert told and all(s.expected == 0.0 for s in told)
+    best = separating_manoeuvre({"one": fit, "other": fit}, library=fast, seconds=3.0)
+    assert best is not None and best["seconds_to_bic_10"] is None
+
+
 def test_no_flights_are_none():
     assert flown_together(rivals()["rotor_drag"].model, []) == []
 
