@@ -204,7 +204,7 @@ def test_a_change_that_is_told_in_one_flight_is_found_in_another() -> None:
         other = [r for r in rivals if r.price]
         assert bool(other) is both
         for r in other:
-            begin = start[0] + r.lasting.share.argmax() * found.problem.dt
+            begin = start[0] + r.felt.push.share.argmax() * found.problem.dt
             assert begin == pytest.approx(start[0] + WHEN, abs=0.05)
 
 
