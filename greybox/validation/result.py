@@ -192,7 +192,7 @@ class Validation(Shown):
     def format(self) -> str:
         """Text for the terminal: the verdict, warnings, the multi-step tables, one-step errors and
         residual tests."""
-        lines = [NOT_JUDGED] if self.verdict is None else [self.verdict.line]
+        lines = [NOT_JUDGED] if self.verdict is None else self.verdict.lines()
         lines += (
             [f"  {line}" for line in in_words(self.verdict)] if self.verdict is not None else []
         )

@@ -22,12 +22,21 @@ from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.advice import Hint, Symptom, likely, symptom_of_group
 from greybox.validation.groups import Group
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
-from greybox.validation.parts import denied, denies, in_sentences, reservations, useful_alone
+from greybox.validation.parts import (
+    denied,
+    denies,
+    in_brackets,
+    in_sentences,
+    reservations,
+    useful_alone,
+)
 
 TEST_FLIGHTS = "flights that it was not fitted to"
 FITTED_FLIGHTS = "the flights that were fitted"
 PARTLY_FITTED = "flights of which some were fitted"
 LEFT_OUT = "pieces of the training flights that were left out"
+IN_SHORT = {LEFT_OUT: "pieces left out of training"}
+"""What is too long for the first line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,10 +189,11 @@ class _Weighed:
 
 @dataclass(frozen=True, kw_only=True)
 class _Finding:
-    """What is concluded, in words; `reason`, `action` and `anchor` as in `Verdict`."""
+    """What is concluded, in words; fields as those of `Verdict`."""
 
     outcome: Outcome
     line: str
+    why: tuple[str, ...]
     reason: str = ""
     action: str = ""
     anchor: str = ""
@@ -221,15 +231,15 @@ def judge(
     kept = [c for c, p in zip(axes, parts[len(flights) :], strict=True) if _kept(p, useful)]
     found = _conclude(weighed, grid, list(hints), parts, kept)
     if found.outcome is Outcome.NOT_USABLE:
-        found = replace(found, line=found.line + useful_alone(parts))
+        found = replace(found, why=(*found.why, *useful_alone(parts)))
     elif most := _most(flights, parts):
         found = _not_usable_on_most(most, parts, list(hints))
         useful = most[0][1].useful(most[0][2])
     found = _partly_judged(found, [*lost, *model.unjudged])
-    on = "" if judged_on == TEST_FLIGHTS else f" [judged on {judged_on}]"
+    on = f" [judged on {IN_SHORT.get(judged_on, judged_on)}]"
     return Verdict(
         outcome=found.outcome,
-        line=found.line + on,
+        line=found.line + ("" if judged_on == TEST_FLIGHTS else on),
         useful_seconds=useful,
         judged_seconds=float(grid.seconds[-1]),
         judged_on=judged_on,
@@ -238,6 +248,7 @@ def judge(
         reason=found.reason,
         action=found.action,
         anchor=found.anchor,
+        why=found.why,
         parts=tuple(parts),
     )
 
@@ -349,9 +360,9 @@ def _not_usable_on_most(
     name, weighed, grid = most[0]
     found = _not_usable(weighed, grid, hints)
     judged = [p for p in parts if p.kind == "flight" and p.outcome is not Outcome.TOO_CALM]
-    said = f"NOT USABLE on {len(most)} of {len(judged)} flights alone, as on {name}: "
-    line = said + found.line.removeprefix("NOT USABLE: ") + useful_alone(parts)
-    return replace(found, line=line)
+    line = f"NOT USABLE on {len(most)} of {len(judged)} flights alone"
+    worst = f"as on {name}: {found.line.removeprefix('NOT USABLE: ')}"
+    return replace(found, line=line, why=(worst, *found.why, *useful_alone(parts)))
 
 
 def _judged(
@@ -492,11 +503,11 @@ def _conclude(
     claim = _claim([*weighed.counted, *axes], (grid.seconds > grid.rule.short)[: weighed.ends])
     if denied(parts, seconds):
         claim = f"taken together, {claim}"
-    skill = ", ".join(_compared(_skill(c, grid)) for c in weighed.compared)
+    skill = (_compared(_skill(c, grid)) for c in weighed.compared)
     return _Finding(
         outcome=Outcome.USABLE,
-        line=f"{_useful(weighed, grid)}{reservations(parts, seconds)}: {claim}; "
-        f"{grid.ahead:.2g} s ahead {skill}",
+        line=f"{_useful(weighed, grid)}{in_brackets(parts, seconds)}",
+        why=(*reservations(parts, seconds), claim, *skill),
     )
 
 
@@ -517,12 +528,13 @@ def _not_usable(weighed: _Weighed, grid: _Grid, hints: list[Hint]) -> _Finding:
         hints = [*hints, Hint(symptom=Symptom.START)]
     lost = weighed.lost(grid)
     reason, action, anchor = likely(hints, _symptom(worst.kind, lost))
-    line = (
-        f"NOT USABLE: {_failure(worst, lost, grid.seconds, at)}. Likely: {reason}; next: "
-        f"{action} ({anchor})"
-    )
     return _Finding(
-        outcome=Outcome.NOT_USABLE, line=line, reason=reason, action=action, anchor=anchor
+        outcome=Outcome.NOT_USABLE,
+        line=f"NOT USABLE: {_failure(worst, lost, grid)}",
+        why=(_size(worst, grid), f"likely: {reason}", f"next: {action} ({anchor})"),
+        reason=reason,
+        action=action,
+        anchor=anchor,
     )
 
 
@@ -540,20 +552,27 @@ def _starts_off(worst: _Comparison, grid: _Grid) -> bool:
 def _too_calm(weighed: _Weighed, grid: _Grid, parts: Sequence[Part]) -> _Finding:
     """Groups that hardly move in these flights, and the flight that would tell."""
     which = [c for c in weighed.compared if c in weighed.excused or c in weighed.idle]
-    names = " and ".join(_word(c.name) for c in which)
+    names = _listed([_word(c.name) for c in which])
     action = f"judge on a flight with {TELLING[which[0].name]}"
     anchor = Symptom.CALM.anchor
     moved = ", ".join(f"{_word(c.name)} {_value(c.last[grid.at], c.kind)}" for c in which)
-    line = (
-        f"too calm to judge {names}: within {grid.ahead:.2g} s the flights change by {moved}, "
-        f"where holding the last value is nearly right; {action} ({anchor})"
-    )
+    line, denying = f"too calm to judge {names}", list[str]()
     if len(which) < len(weighed.compared):
-        rest = [p for p in parts if p.outcome is not Outcome.TOO_CALM]
-        line += f". The rest is {_useful(weighed, grid)}{reservations(rest, weighed.useful(grid))}"
+        rest, seconds = (
+            [p for p in parts if p.outcome is not Outcome.TOO_CALM],
+            weighed.useful(grid),
+        )
+        line += f"; the rest is {_useful(weighed, grid)}{in_brackets(rest, seconds)}"
+        denying = reservations(rest, seconds)
     return _Finding(
         outcome=Outcome.TOO_CALM,
         line=line,
+        why=(
+            *denying,
+            f"within {grid.ahead:.2g} s the flights change by {moved}, where holding the last value "
+            "is nearly right",
+            f"next: {action} ({anchor})",
+        ),
         reason=f"the flights hardly move in {names}",
         action=action,
         anchor=anchor,
@@ -564,13 +583,14 @@ def _partly_judged(found: _Finding, unjudged: Sequence[str]) -> _Finding:
     """The finding, with the groups that were measured and have no errors."""
     if not unjudged:
         return found
-    said = f"{' and '.join(map(_word, unjudged))} could not be judged: too many samples missing"
+    said = f"{_listed(list(map(_word, unjudged)))} could not be judged: too many samples missing"
     if found.outcome is not Outcome.USABLE:
-        return replace(found, line=f"{found.line}. {said[0].upper()}{said[1:]}")
+        return replace(found, why=(said, *found.why))
     action, anchor = "greybox check names the gaps", Symptom.LOG_FAULT.anchor
     return _Finding(
         outcome=Outcome.PARTLY_JUDGED,
-        line=f"{said}; {action} ({anchor}). The rest is {found.line}",
+        line=f"{said}; the rest is {found.line}",
+        why=(f"next: {action} ({anchor})", *found.why),
         reason=said,
         action=action,
         anchor=anchor,
@@ -617,6 +637,11 @@ def _claim(counted: Sequence[_Comparison], late: BoolArray) -> str:
     )
 
 
+def _listed(names: Sequence[str]) -> str:
+    """a, b and c."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
 def _word(group: str) -> str:
     return group.replace("_", " ")
 
@@ -637,7 +662,7 @@ def _compared(g: GroupSkill) -> str:
     unit, factor = in_degrees(g.unit)
     floor = "" if g.measured_imu is None else f", measured IMU {factor * g.measured_imu:.2g}"
     return (
-        f"{_word(g.name)} {factor * g.error:.2g} {unit} (last value "
+        f"{g.seconds:.2g} s ahead {_word(g.name)} {factor * g.error:.2g} {unit} (last value "
         f"{factor * g.last_value:.2g}{floor})"
     )
 
@@ -656,17 +681,19 @@ def _no_better(kind: Sequence[_Comparison], span: slice, rule: Standard) -> list
     return [] if best < rule.better else list(kind)
 
 
-def _failure(worst: _Comparison, lost: bool, seconds: FloatArray, at: int) -> str:
-    if lost:
-        text = (
-            f"{_word(worst.name)} is worse than holding the last value {_when(worst, seconds, at)}"
-        )
-    else:
-        text = f"{_word(worst.name)} is no better than holding the last value"
-    if not np.isfinite(worst.model[at]):
-        return f"{text}, and not finite"
-    own, last = _value(worst.model[at], worst.kind), _value(worst.last[at], worst.kind).split()[0]
-    return f"{text} ({seconds[at]:.2g} s ahead {own}, last value {last})"
+def _failure(worst: _Comparison, lost: bool, grid: _Grid) -> str:
+    if not lost:
+        return f"{_word(worst.name)} is no better than holding the last value"
+    when = _when(worst, grid.seconds, grid.at)
+    return f"{_word(worst.name)} is worse than holding the last value {when}"
+
+
+def _size(worst: _Comparison, grid: _Grid) -> str:
+    """The error where skill is stated."""
+    at = grid.at
+    own = _value(worst.model[at], worst.kind) if np.isfinite(worst.model[at]) else "is not finite"
+    last = _value(worst.last[at], worst.kind).split()[0]
+    return f"{grid.ahead:.2g} s ahead {_word(worst.name)} {own} (last value {last})"
 
 
 def _when(worst: _Comparison, seconds: FloatArray, at: int) -> str:

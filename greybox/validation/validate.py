@@ -574,8 +574,10 @@ class _Work:
         if physics is not None:
             there |= impossible(found.action, physics, self.dataset.channels)
         action = lacking(found.action, there)
-        line = found.line.replace(found.action, action) if found.action else found.line
-        return replace(found, action=action, line=line)
+        why = found.why
+        if found.action:
+            why = tuple(w.replace(found.action, action) for w in why)
+        return replace(found, action=action, why=why)
 
 
 def _has(channels: Sequence[str], *groups: str) -> bool:
