@@ -16,7 +16,7 @@ from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
 from greybox.shown import in_degrees
-from greybox.validation.usefulness import in_words
+from greybox.validation.finding import in_words
 
 if TYPE_CHECKING:
     from greybox.validation.cross_correlation import CrossDocument

@@ -15,9 +15,11 @@ from greybox.errors import DataError
 from greybox.files import dump_json
 from greybox.model.verdict import Outcome, Verdict
 from greybox.validation.advice import ADVICE, Hint, Symptom, likely, symptom_of_group
+from greybox.validation.comparison import Standard, standard_error
+from greybox.validation.finding import in_words
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
-from greybox.validation.usefulness import FITTED_FLIGHTS, Standard, in_words, judge, standard_error
+from greybox.validation.usefulness import FITTED_FLIGHTS, judge
 
 DT = 0.01
 SECONDS = DT * np.arange(1, 101)

@@ -11,10 +11,11 @@ import pytest
 
 from greybox.files import dump_json
 from greybox.model.verdict import Outcome, Verdict
+from greybox.validation.finding import in_words
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import HorizonAccumulator
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
-from greybox.validation.usefulness import in_words, judge
+from greybox.validation.usefulness import judge
 
 DT = 0.01
 SECONDS = DT * np.arange(1, 101)
