@@ -36,7 +36,7 @@ def in_brackets(parts: Sequence[Part], useful: float) -> str:
         least = min(less, key=lambda p: p.useful_seconds)
         said.append(f"down to {_seconds(least)} on {_counted(less)}")
     if calm := _calm(parts, useful):
-        said.append(f"too calm on {_counted(calm)}")
+        said.append(f"{_counted(calm)} too calm")
     return f" ({'; '.join(said)})" if said else ""
 
 
@@ -126,7 +126,7 @@ def _counted(parts: Sequence[Part]) -> str:
     for kind, many in (("flight", "flights"), ("axis", "axes")):
         if n := len(_of(parts, kind)):
             said.append(f"{n} {kind if n == 1 else many}")
-    return " and ".join(said)
+    return ", ".join(said)
 
 
 def _named(all_: Sequence[str]) -> str:

@@ -37,7 +37,7 @@ TEST_FLIGHTS = "flights that it was not fitted to"
 FITTED_FLIGHTS = "the flights that were fitted"
 PARTLY_FITTED = "flights of which some were fitted"
 LEFT_OUT = "pieces of the training flights that were left out"
-IN_SHORT = {LEFT_OUT: "pieces left out of training"}
+IN_SHORT = {LEFT_OUT: "on pieces left out"}
 """What is too long for the first line."""
 
 
@@ -78,7 +78,7 @@ def judge(
         found = not_usable_on_most(most, parts, list(hints))
         useful = most[0][1].useful(most[0][2])
     found = partly_judged(found, [*lost, *model.unjudged])
-    on = f" [judged on {IN_SHORT.get(judged_on, judged_on)}]"
+    on = f" [{IN_SHORT.get(judged_on, f'judged on {judged_on}')}]"
     return Verdict(
         outcome=found.outcome,
         line=found.line + ("" if judged_on == TEST_FLIGHTS else on),

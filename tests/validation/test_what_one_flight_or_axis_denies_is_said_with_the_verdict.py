@@ -15,7 +15,7 @@ from greybox.validation.finding import in_words
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import HorizonAccumulator
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
-from greybox.validation.usefulness import judge
+from greybox.validation.usefulness import LEFT_OUT, TEST_FLIGHTS, judge
 
 DT = 0.01
 SECONDS = DT * np.arange(1, 101)
@@ -59,7 +59,13 @@ def held(size: float, *, blocks: int = 10) -> dict[str, GroupErrors]:
     return {g: errors(size * c * (SECONDS / 0.5) ** 0.8, blocks) for g, c in CHANGE.items()}
 
 
-def verdict_of(sizes: dict[str, float], shares: dict[str, Shares], *, blocks: int = 10) -> Verdict:
+def verdict_of(
+    sizes: dict[str, float],
+    shares: dict[str, Shares],
+    *,
+    blocks: int = 10,
+    judged_on: str = TEST_FLIGHTS,
+) -> Verdict:
     """Of a model whose errors are 0.4 times those of the last value, or the `shares` by flight and
     group."""
     last = {f: held(s, blocks=blocks) for f, s in sizes.items()}
@@ -70,7 +76,7 @@ def verdict_of(sizes: dict[str, float], shares: dict[str, Shares], *, blocks: in
         }
         for f, groups in last.items()
     }
-    return judge(table(own, "model"), table(last, "persistence"))
+    return judge(table(own, "model"), table(last, "persistence"), judged_on=judged_on)
 
 
 def until(seconds: float, after: float = 1.5) -> np.ndarray:
@@ -136,8 +142,21 @@ def test_a_model_that_is_not_usable_says_where_it_would_be() -> None:
 def test_a_flight_that_hardly_moves_denies_nothing_and_is_named_as_not_judged() -> None:
     found = verdict_of({"star": 1.0, "hover": 0.05}, {"hover": {"rotation": 1.3, "rate": 1.3}})
     assert found.outcome is Outcome.USABLE
-    assert found.line == "useful for 1 s and more (too calm on 1 flight)"
+    assert found.line == "useful for 1 s and more (1 flight too calm)"
     assert found.why[0] == "too calm to judge hover"
+
+
+def test_the_first_line_counts_in_a_hundred_columns_what_the_lines_below_name() -> None:
+    sizes = {f"B{i}_figure8_slow_rep1": 0.15 for i in range(8)} | {"fast": 1.0, "hover": 0.05}
+    calm: Shares = {"rotation": 1.3, "rate": 1.3}
+    shares = {n: {"rotation": until(0.12)} for n in sizes if "slow" in n} | {"hover": calm}
+    found = verdict_of(sizes, shares, judged_on=LEFT_OUT)
+    assert found.line == (
+        "useful for 1 s and more (down to 0.11 s on 8 flights; 1 flight too calm) "
+        "[on pieces left out]"
+    )
+    assert len(found.line) <= 100 and max(map(len, found.lines())) <= 110
+    assert "B0_figure8_slow_rep1" in found.why[0] and "hover" in found.why[1]
 
 
 def test_a_flight_of_one_block_is_not_told_from_chance() -> None:
@@ -186,7 +205,7 @@ def test_an_axis_that_roll_and_pitch_hide_is_named(yaw: np.ndarray, first: str, 
 
 def test_an_axis_that_hardly_moves_is_not_judged_and_one_that_is_foretold_is_not_named() -> None:
     calm = axes_of(1.0, np.full(100, 1.3), change=0.05)
-    assert calm.line == "useful for 1 s and more (too calm on 1 axis)"
+    assert calm.line == "useful for 1 s and more (1 axis too calm)"
     assert calm.why[0] == "too calm to judge yaw rate"
     assert "yaw" not in " ".join(axes_of(1.0, np.full(100, 0.5), change=0.6).lines())
 
