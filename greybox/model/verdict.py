@@ -148,9 +148,9 @@ class Verdict:
     `line` is the first line of every output, `why` what stands below it: what denies it, what holds
     it up and what to do, the most important first; () in an older file. `useful_seconds` [s]: up to
     there no group that could be judged is worse than holding the last value; judging ended at
-    `judged_seconds`. `judged_on` says in words which flights judged (`flights` by name). `reason`, `action` and `anchor` (a
-    section of docs/bad_fit.md) are empty where nothing is wrong. `parts` are every flight, where
-    there are several, and every axis, judged alone; () in an older file.
+    `judged_seconds`. `judged_on` says in words which flights judged (`flights` by name). `reason`,
+    `action` and `anchor` (a section of docs/bad_fit.md) are empty where nothing is wrong. `parts`
+    are every flight, where there are several, and every axis, judged alone; () in an older file.
     """
 
     outcome: Outcome

@@ -100,9 +100,9 @@ def told_of_pushes(
     model: IdentifiedModel, data: Dataset, judged: Sequence[GroupSkill]
 ) -> tuple[list[str], str]:
     """In words, the pushes that follow the motion and matter beside the errors of the `judged`
-    groups, and the force that carries the craft; and what is to be said first where the model,
-    without its filter, is worse than holding the last value as soon as that force is not told. Nothing of flights that
-    are too short to see pushes in, or too wild."""
+    groups, and the force that carries the craft; and what is to be said first
+    where the model is worse than holding the last value as soon as that force is not told. Nothing
+    of flights that are too short to see pushes in, or too wild."""
     errors, ahead = {g.name: g for g in judged}, judged[0].seconds
     try:
         seen = pushes(model, data, errors)

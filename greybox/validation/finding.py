@@ -48,8 +48,8 @@ def conclude(
     parts: Sequence[Part],
     axes: Sequence[Comparison],
 ) -> Finding:
-    """What the groups say that were weighed, on all flights together, with what `parts` deny; `axes`
-    are those that take part in the claim."""
+    """What the groups say that were weighed, on all flights together, with what `parts` deny;
+    `axes` are those that take part in the claim."""
     if weighed.lost(grid) or any(not c.calm for c in weighed.idle):
         return not_usable(weighed, grid, hints)
     if weighed.excused or weighed.idle:
@@ -134,8 +134,8 @@ def _too_calm(weighed: Weighed, grid: Grid, parts: Sequence[Part]) -> Finding:
         line=line,
         why=(
             *denying,
-            f"within {grid.ahead:.2g} s the flights change by {moved}, where holding the last value "
-            "is nearly right",
+            f"within {grid.ahead:.2g} s the flights change by {moved}, where holding the last "
+            "value is nearly right",
             f"next: {action} ({anchor})",
         ),
         reason=f"the flights hardly move in {names}",

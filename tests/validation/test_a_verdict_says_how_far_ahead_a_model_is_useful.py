@@ -276,7 +276,8 @@ def test_a_group_that_was_measured_and_could_not_be_judged_is_named() -> None:
     assert found.outcome is Outcome.PARTLY_JUDGED
     assert found.exit_code == 0
     assert found.line == (
-        "position could not be judged: too many samples missing; the rest is useful for 1 s and more"
+        "position could not be judged: too many samples missing; "
+        "the rest is useful for 1 s and more"
     )
     assert found.why[0].startswith("next: greybox check names the gaps")
     assert Verdict.from_dict(json.loads(dump_json(found.to_dict()))) == found
