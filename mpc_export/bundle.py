@@ -214,8 +214,8 @@ def write_bundle(
     cannot be written).
     """
     place, o = _place_of(folder), ExportOptions.of(options, choices)
-    judged = model.verdict if isinstance(model, IdentifiedModel) else None
-    demand_usable(judged, getattr(model, "name", ""), even_so=o.even_so)
+    if isinstance(model, IdentifiedModel):
+        demand_usable(model.verdict, model.name, even_so=o.even_so)
     name = name_of_folder(place.resolve().name) if o.name is None else check_name(o.name)
     o = o.completed()
     check_place(place, force=o.force)

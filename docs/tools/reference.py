@@ -188,8 +188,12 @@ def members(thing: Any) -> list[tuple[str, Any]]:
     return list(found.items())
 
 
-def _summary(thing: Any) -> str:
-    return _cell((_document(thing).splitlines() or [""])[0])
+def _first_paragraph(thing: Any) -> str:
+    return _cell((inspect.getdoc(thing) or "").partition("\n\n")[0])
+
+
+def _first_sentence(thing: Any) -> str:
+    return re.split(r"(?<=[.:])\s+(?=[A-Z`])", _first_paragraph(thing))[0]
 
 
 def public_names() -> dict[str, Any]:
@@ -214,7 +218,7 @@ def described(public: dict[str, Any]) -> str:
     for name, thing in public.items():
         anchor = titles[name].removesuffix("()").replace(" ", "-").lower()
         module = f" (`{MODULES[name]}`)" if name in MODULES else ""
-        lines.append(f"| [`{name}`](#{anchor}){module} | {_summary(thing)} |")
+        lines.append(f"| [`{name}`](#{anchor}){module} | {_first_sentence(thing)} |")
     for name, thing in public.items():
         call = f"greybox.{name}" if inspect.ismodule(thing) else f"{name}{_signature(thing)}"
         if name in MODULES:
@@ -228,7 +232,7 @@ def described(public: dict[str, Any]) -> str:
                 value.fget if isinstance(value, property) else getattr(value, "__func__", value)
             )
             call = "" if isinstance(value, property) else _signature(function)
-            lines.append(f"| `{member}{_cell(call)}` | {_summary(function)} |")
+            lines.append(f"| `{member}{_cell(call)}` | {_first_paragraph(function)} |")
     return "\n".join(lines) + "\n"
 
 

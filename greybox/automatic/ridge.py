@@ -17,7 +17,8 @@ from scipy.optimize import minimize_scalar
 from greybox.data import Dataset
 from greybox.estimation.elsewhere import PAIR
 from greybox.estimation.engine import engine_for
-from greybox.estimation.problem import Problem, Unknown
+from greybox.estimation.prior import Prior, unknown_of
+from greybox.estimation.problem import Problem
 from greybox.estimation.record import make_records
 from greybox.estimation.result import Fit
 from greybox.model.absence import absence
@@ -33,21 +34,25 @@ CLOSE = 0.01
 
 
 def on_the_ridge(
-    found: Fit, data: Dataset, offered: Sequence[Effect], fitted: Sequence[int], price: float
+    found: Fit,
+    reached: float,
+    data: Dataset,
+    offered: Sequence[Effect],
+    fitted: Sequence[int],
+    price: float,
 ) -> list[Form]:
     """The form with the second order of the rotors' lag in the place of the delay of the commands,
-    if it is likelier than the fit; `fitted` are the places of its unknowns among which the form
-    says what moves, `price` the log of how many causes are asked for."""
+    if it is likelier than the fit, whose cost is `reached`; `fitted` are the places of its unknowns
+    among which the form says what moves, `price` the log of how many causes are asked for."""
     small = found.problem
     lag, late = (small.index.get((name, None)) for name in PAIR)
     second = [e for e in offered if "lag_second" in e.early]
     if not second or lag is None or late is None or not found.theta[late] > 0:
         return []
     wide = _with(small, second[0], data)
-    limit = found.problem.evaluate(found.theta).cost
     places = [_likeliest(wide, found.theta, lag, late, left) for left in DELAY_LEFT]
     cost, there = min(places, key=lambda p: p[0])
-    odds = limit - cost - price - 0.5 * float(np.log(sum(r.n for r in small.records)))
+    odds = reached - cost - price - 0.5 * float(np.log(sum(r.n for r in small.records)))
     if not odds > 0:
         return []
     row = {place: k for k, place in enumerate(fitted)}
@@ -95,18 +100,6 @@ def _with(small: Problem, effect: Effect, data: Dataset) -> Problem:
         known = dict(zip(names, there, strict=True))
         return np.array([known.get(n, 0.0) for n in large.error_states.names])
 
-    unknown = Unknown(
-        name=name,
-        kind="parameter",
-        flight=None,
-        start=null,
-        lower=d.lower,
-        upper=d.upper,
-        mean=null,
-        sigma=sigma,
-        scale=d.scale,
-        unit=d.unit,
-    )
     return replace(
         small,
         dynamics=large,
@@ -114,5 +107,5 @@ def _with(small: Problem, effect: Effect, data: Dataset) -> Problem:
         records=make_records(engine, data),
         base=np.array([own.get(d.name, null) for d in large.parameters]),
         spreads=None if small.spreads is None else tuple(spread(s) for s in small.spreads),
-        unknowns=(*small.unknowns, unknown),
+        unknowns=(*small.unknowns, unknown_of(d, null, Prior(null, sigma))),
     )

@@ -23,13 +23,7 @@ import numpy as np
 from greybox.automatic.changed import PACE, Changed, Unnamed
 from greybox.automatic.widened import HELD, moved_away, no_measurement, widened
 from greybox.estimation.laplace import at_bound
-from greybox.estimation.lasting_pushes import (
-    Lasting,
-    blocks_of,
-    log_odds_from,
-    with_lasting_pushes,
-)
-from greybox.estimation.predictor import Block
+from greybox.estimation.lasting_pushes import Felt, Lasting, LastingPushes
 from greybox.estimation.problem import Problem
 from greybox.estimation.result import Fit
 from greybox.statistics.lasting import MOST, TRIM
@@ -49,8 +43,9 @@ def with_shift(found: Fit, seen: Unnamed, changed: Sequence[Changed]) -> tuple[F
     told = [c for c in changed if not c.flown]
     if not told or not of_innovations or found.settings["criterion"] != "gaussian":
         return found, ""
-    rivals = list(Asked(found=found, seen=seen, told=told).rivals())
-    at = _parabola(found, [r.lasting for r in rivals])
+    asked = Asked(found=found, seen=seen, told=told)
+    rivals = list(asked.rivals())
+    at = _parabola(asked.lasting, [r.felt for r in rivals])
     form = likeliest(at, {f"{k}": r.price for k, r in enumerate(rivals)})
     if form is None:
         return found, ""
@@ -70,7 +65,7 @@ class Rival:
     """What may last in a flight, since `when` in words. `price`: log of how many places were asked
     for it, 0 where it was told."""
 
-    lasting: Lasting
+    felt: Felt
     when: str
     price: float = 0.0
 
@@ -89,9 +84,9 @@ class Asked:
         return self.found.problem
 
     @cached_property
-    def blocks(self) -> list[Block]:
-        """Innovations of all records."""
-        return blocks_of(self.problem, self.found.theta)
+    def lasting(self) -> LastingPushes:
+        """What lasting pushes do to the innovations."""
+        return LastingPushes(problem=self.problem, theta=self.found.theta)
 
     @cached_property
     def times(self) -> list[FloatArray]:
@@ -142,7 +137,7 @@ class Asked:
         [s], and stays; log of its odds; of how many)."""
         asked = np.flatnonzero((self.times[i] > first) & (self.times[i] <= last))
         push = self.pushed(i, np.zeros_like(self.times[i]))
-        odds = log_odds_from(self.problem, self.found.theta, self.blocks[i], push)[asked]
+        odds = self.lasting.log_odds_from(push)[asked]
         if not len(asked):
             return push.share, -np.inf, 0
         begin, n = asked[np.argmax(odds)], len(push.share)
@@ -157,7 +152,8 @@ class Asked:
         for lasting in (self.pushed(i, share), self.rotors(i, share)):
             if lasting.names:
                 when = f"{self.problem.records[i].flight} from {what}"
-                yield Rival(lasting=lasting, when=when, price=float(np.log(places)))
+                felt = self.lasting.felt(lasting)
+                yield Rival(felt=felt, when=when, price=float(np.log(places)))
 
     def pushed(self, i: int, share: FloatArray) -> Lasting:
         """What the craft's own parts may push without a name."""
@@ -179,28 +175,19 @@ class Asked:
         return Lasting(record=i, names=tuple(u.name for u in free), sigma=sigma, share=share)
 
 
-def _parabola(found: Fit, lasting: Sequence[Lasting]) -> Parabola:
+def _parabola(lasting: LastingPushes, pushes: Sequence[Felt]) -> Parabola:
     """The cost about the fit, with what lasts as causes, by their number. Scatter of scores says
     nothing of a place: one jump scatters as it should."""
-    small, theta = found.problem, found.theta
+    small, theta = lasting.problem, lasting.theta
     held = at_bound(small, theta, small.evaluate(theta))
-    named = {f"{k}": each for k, each in enumerate(lasting)}
-    wide, at = with_lasting_pushes(small, theta, named)
+    named = {f"{k}": each for k, each in enumerate(pushes)}
+    wide, at = lasting.with_pushes(named)
     value = wide.evaluate(at)
     assert value.gradient is not None and value.data_hessian is not None
     prior = np.array([u.sigma for u in wide.unknowns]) ** -2.0
-    information, n = value.data_hessian + np.diag(prior), small.n
-    causes = dict[str, list[int]]()
+    causes, n = dict[str, range](), small.n
     for name, each in named.items():
-        causes[name] = list(range(n, n + len(each.names)))
-        n += len(each.names)
-    never = np.zeros(wide.n, dtype=bool)
-    return Parabola(
-        information=information,
-        gradient=value.gradient,
-        prior=prior,
-        fitted=[i for i in np.flatnonzero(~held).tolist() if information[i, i] > 0],
-        causes=causes,
-        floor=never,
-        ceiling=never,
-    )
+        causes[name] = range(n, n + len(each.push.names))
+        n += len(each.push.names)
+    loose = np.flatnonzero(~held).tolist()
+    return Parabola.about(value.data_hessian, value.gradient, prior, loose, causes)

@@ -28,9 +28,10 @@ from greybox.errors import GreyboxError
 from greybox.estimation.covariance import FEWEST_BLOCKS
 from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.estimation.laplace import at_bound
-from greybox.estimation.prior import prior_terms, pull_left
+from greybox.estimation.prior import denied_share, prior_terms
 from greybox.estimation.problem import Problem
 from greybox.estimation.result import Fit
+from greybox.estimation.solver import Value
 from greybox.model.absence import absence, not_offered
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
@@ -61,8 +62,9 @@ def with_rivals(found: Fit, data: Dataset) -> Fit:
         return found
     try:
         with threadpool_limits(limits=1):
-            at, wide, there = _parabola(found, data, physics)
-            more = on_the_ridge(found, data, _offered(physics, data), at.fitted, price_of(at))
+            value, offered = found.problem.evaluate(found.theta), _offered(physics, data)
+            at, wide, there = _parabola(found, value, data, physics, offered)
+            more = on_the_ridge(found, value.cost, data, offered, at.fitted, price_of(at))
             seen = averaged(at, more)
     except (GreyboxError, np.linalg.LinAlgError):  # a larger model that cannot predict
         return found
@@ -70,14 +72,14 @@ def with_rivals(found: Fit, data: Dataset) -> Fit:
 
 
 def _parabola(
-    found: Fit, data: Dataset, physics: PhysicsModel
+    found: Fit, ended: Value, data: Dataset, physics: PhysicsModel, effects: Sequence[Effect]
 ) -> tuple[Parabola, Problem, FloatArray]:
-    """(the cost about the fit, with effects that it lacks or holds at nothing; the problem whose
-    unknowns have the same places; where they stand). What is held for a ratio may move as far as it
-    is stated: an effect that does the same as its error is no news."""
+    """(the cost about the fit, which `ended` there, with `effects` that it lacks and those that it
+    holds at nothing; the problem whose unknowns have the same places; where they stand). What is
+    held for a ratio may move as far as it is stated: an effect that does the same as its error is
+    no news."""
     small, theta = found.problem, found.theta
-    held = at_bound(small, theta, small.evaluate(theta))
-    effects = _offered(physics, data)
+    held = at_bound(small, theta, ended)
     declared = {d.name: d for d in small.dynamics.parameters}
     stated = {n: (float(small.base[i]), declared[n].sigma) for i, n in enumerate(declared)}
     # The error of the fit, whose user may have given another than what is declared.
@@ -100,15 +102,14 @@ def _parabola(
         if (added and effect in asked) or (name in at_null and (added or held[i])):
             places.setdefault(effect, []).append(i)
     sigma = np.array([u.sigma for u in small.unknowns] + [priors[m][1] for m in names[n:]])
-    of_causes = {i for rows in places.values() for i in rows}
-    for i in of_causes:
+    for i in (i for rows in places.values() for i in rows):
         sigma[i] = min(sigma[i], priors[names[i]][1])
     prior = np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0
     pulls = prior_terms(wide.unknowns, at)[1]
-    lost = _denied_share(pulls, prior)
+    # What flights deny may be another craft's: it asks for no cause that brings it nearer.
+    lost = denied_share(pulls, prior)
     lost[n:] = 0.0
     prior *= 1.0 - lost
-    information = value.data_hessian + np.diag(prior)
     gradient = value.gradient - lost * pulls
     gradient[n:] -= pulls[n:]
     # A craft has no such effect; but what the model has and the flights hold at its bound, or what
@@ -117,12 +118,12 @@ def _parabola(
     bounded = np.array([m not in at_null and m.split(".")[0] not in past for m in names])
     loose = [*np.flatnonzero(~held).tolist(), *range(n, wide.n)]
     scores = value.scores
-    parabola = Parabola(
-        information=information,
-        gradient=gradient,
-        prior=prior,
-        fitted=[i for i in loose if i not in of_causes and information[i, i] > 0],
-        causes=places,
+    parabola = Parabola.about(
+        value.data_hessian,
+        gradient,
+        prior,
+        loose,
+        places,
         floor=bounded & (at <= wide.lower),
         ceiling=bounded & (at >= wide.upper),
         scatter=None
@@ -163,13 +164,6 @@ def _at_null(small: Problem, theta: FloatArray, held: BoolArray) -> frozenset[st
         for d in small.dynamics.parameters
         if value[d.name] == d.null and d.null in (d.lower, d.upper)
     )
-
-
-def _denied_share(pulls: FloatArray, prior: FloatArray) -> FloatArray:
-    """Share (n,) that priors of precision `prior` lose, which pull so. What flights deny may be
-    another craft's: it asks for no cause that brings it nearer."""
-    squared = np.divide(pulls**2, prior, out=np.zeros_like(prior), where=prior > 0)
-    return np.asarray(1.0 - np.minimum(pull_left(squared), 1.0))
 
 
 def _offered(physics: PhysicsModel, data: Dataset) -> list[Effect]:

@@ -132,13 +132,15 @@ def lines(
 ) -> list[str]:
     """The verdict and what the logs, pushes and physics say, the decisions with their reasons, the
     estimates, the script that says every choice."""
-    first, *rest = result.summary().splitlines()
+    all_said = result.summary().splitlines()
+    judged = 1 if result.verdict is None else len(result.verdict.lines())
+    first, rest = all_said[:judged], all_said[judged:]
     doubts = result.covariance
     for line in (doubts.beyond, *doubts.changed, doubts.form):
         if line:  # it is said at once, with what to do next
             rest.remove(f"warning: {line}")
     told = [f"warning: {w}" for some in job.warnings for w in some]
-    lines = [first, *next_step(job, result, pushed), *told, *sanity_lines(result)]
+    lines = [*first, *next_step(job, result, pushed), *told, *sanity_lines(result)]
     if result.provenance.decisions:
         lines += ["", "Decided, because nothing else was said:"]
         lines += [f"  {decision.line()}" for decision in result.provenance.decisions]
@@ -168,7 +170,10 @@ def with_pushes(job: Job, result: Fit) -> tuple[Fit, list[str]]:
     if verdict is None or verdict.refused or not verdict.groups or not result.converged:
         return result, []
     pushed, reserve = told_of_pushes(result.model, job.prepared.data, verdict.groups)
-    return result.judged(replace(verdict, line=f"{reserve}{verdict.line}")), pushed
+    if reserve:
+        line, why = f"USE WITH ITS FILTER ONLY: {verdict.line}", (reserve, *verdict.why)
+        verdict = replace(verdict, line=line, why=why)
+    return result.judged(verdict), pushed
 
 
 def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
@@ -181,8 +186,9 @@ def next_step(job: Job, result: Fit, pushed: Sequence[str]) -> list[str]:
     if result.covariance.beyond:
         return [f"next: {result.covariance.beyond}", *(f"then: {t}" for t in (*changed, *told))]
     steps = [f"fit apart what was flown before and after: {'; '.join(changed)}"] if changed else []
-    steps += [f"{discover_command(job.arguments)}: {'; '.join(told)}"] if told else []
-    return [f"{word}: {step}" for word, step in zip(("next", "then"), steps, strict=False)]
+    steps += [discover_command(job.arguments)] if told else []
+    said = [f"{word}: {step}" for word, step in zip(("next", "then"), steps, strict=False)]
+    return [*said, *(f"  {reason}" for reason in told)]
 
 
 def discover_command(arguments: argparse.Namespace) -> str:

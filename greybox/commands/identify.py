@@ -123,7 +123,8 @@ def run(arguments: argparse.Namespace) -> int:
             say(outcome.line)
             raise KeyboardInterrupt
         raise GreyboxError(outcome.line)
-    lines = [outcome.line, f"model: {outcome.model} ({outcome.why})"]
+    why = outcome.verdict.get("why", ()) if outcome.verdict else ()
+    lines = [outcome.line, *(f"  {w}" for w in why), f"model: {outcome.model} ({outcome.why})"]
     for record in found.so_far.done.values():
         ended = f"skipped ({record.skipped})" if record.skipped else f"{record.seconds:.0f} s"
         failed = "" if record.finished else f", failed: {' '.join(record.lines[-1:])}"

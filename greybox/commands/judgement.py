@@ -200,7 +200,9 @@ def gate(content: Parsed, path: str, *, even_so: bool) -> Gate:
             "incomplete verdict", where=path, fix="write the file again"
         ) from None
     if verdict.refused and not even_so:
-        return Gate(open=False, line=f"{path}: {verdict.line}. To go on all the same: --even-so")
+        return Gate(
+            open=False, line=f"{path}: {verdict.sentence}. To go on all the same: --even-so"
+        )
     mark = "" if verdict.outcome is Outcome.USABLE else "warning: "
     return Gate(open=True, line=f"{mark}{path}: {verdict.line}")
 

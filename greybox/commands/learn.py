@@ -278,8 +278,8 @@ def _first_lines(content: LearnDocument, verdict: Verdict | None) -> list[str]:
     if verdict is None:
         return [NOT_JUDGED]
     beside = content.get("against_physics")
-    lines = [verdict.line] if beside is None else [beside["line"], verdict.line]
-    return lines[::-1] if verdict.refused else lines
+    better = [] if beside is None else [beside["line"]]
+    return [*verdict.lines(), *better] if verdict.refused else [*better, *verdict.lines()]
 
 
 def _content(learned: Learned, model: IdentifiedModel, train: Dataset) -> LearnDocument:

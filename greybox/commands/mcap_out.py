@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from greybox.files import write_atomic
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import AdaptedRow
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
 
 AHEAD = 0.5
 """Seconds that `ahead` looks ahead, as the curves of a page."""
@@ -112,7 +115,7 @@ INFO, WARNING = 2, 3
 class Recording:
     """An MCAP file that is being written; it appears under its name when it is whole."""
 
-    def __init__(self, writer: Any) -> None:
+    def __init__(self, writer: Writer) -> None:
         self._writer = writer
         self._types: dict[str, Sequence[Field]] = dict(TYPES)
         self._schemas: dict[str, int] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
@@ -14,6 +14,7 @@ from greybox.commands.model_options import names
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
 if TYPE_CHECKING:
+    from greybox.estimation.options import FitChoices
     from greybox.estimation.profile import Profile
     from greybox.estimation.result import Fit
     from greybox.report.profile_report import ProfileDocument, ProfileRow
@@ -135,7 +136,7 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
             expected=", ".join(model.trained_on),
             fix="give the flights that it was fitted to",
         )
-    choices: Any = {k: settings[k] for k in KEPT if k in settings}
+    choices = cast("FitChoices", {k: settings[k] for k in KEPT if k in settings})
     choices |= {"values": dict(model.values), "noise": noise_of(model), "initialisation": "nominal"}
     found = fit(model.dynamics, train, FitOptions.of(None, choices))
     if not found.converged:

@@ -102,8 +102,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     hints, faults = _faults(model, dataset)
     if model.verdict is not None and model.verdict.outcome is Outcome.UNFINISHED:
-        faults = [model.verdict.line, *faults]
-        print(f"greybox validate: {model.verdict.line}", file=sys.stderr)
+        faults = [model.verdict.sentence, *faults]
+        print(f"greybox validate: {model.verdict.sentence}", file=sys.stderr)
     left, begun = TimeLeft(), itertools.count()
 
     def progress(line: str) -> None:

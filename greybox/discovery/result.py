@@ -257,7 +257,7 @@ class Discovery(Shown):
         held = dict.fromkeys(u["channel"].split(".")[0] for u in self.unnamed() if not u["file"])
         kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
         told = self.model_verdict
-        rough = f"{told.line}. " if told and told.refused else doubt(self.gap)
+        rough = f"{told.sentence}. " if told and told.refused else doubt(self.gap)
         if self.fit and not self.fit.converged:
             rough += "NOT CONVERGED, every number may move: "
         rough += f"AGAINST THE FILE: {'; '.join(self.denied)}. " * bool(self.denied)

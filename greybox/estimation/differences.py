@@ -26,7 +26,8 @@ from greybox.estimation.gain import linearisation_at
 from greybox.estimation.lost_commands import any_lost, lost_commands
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.predictors.innovation import Innovation
-from greybox.estimation.problem import Block, Problem, Unknown
+from greybox.estimation.prior import Prior, unknown_of
+from greybox.estimation.problem import Block, Problem
 from greybox.estimation.record import make_records
 from greybox.estimation.settling import RecordGains, Settling
 from greybox.model.dynamics import Dynamics
@@ -131,7 +132,10 @@ def with_candidate_sensitivities(
         _widened(block, i, small.n, [c[i] for c in columns], runners)
         for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True))
     ]
-    added = [_unknown(d, null[d.name], flight) for d, flight, _ in candidates]
+    added = [
+        unknown_of(d, null[d.name], Prior(d.nominal, d.sigma), flight)
+        for d, flight, _ in candidates
+    ]
     wide = replace(
         small,
         unknowns=(*small.unknowns, *added),
@@ -184,21 +188,6 @@ def _widened(
 def padded(slopes: FloatArray, n: int) -> FloatArray:
     """Slopes (n_k, n_e, n_e) with zeros for the columns after theirs, (n, n_e, n_e)."""
     return np.concatenate([slopes, np.zeros((n - len(slopes), *slopes.shape[1:]))])
-
-
-def _unknown(d: Parameter, null: float, flight: str | None) -> Unknown:
-    return Unknown(
-        name=d.name,
-        kind="parameter",
-        flight=flight,
-        start=null,
-        lower=d.lower,
-        upper=d.upper,
-        mean=d.nominal,
-        sigma=d.sigma if d.sigma > 0 else np.inf,
-        scale=d.scale,
-        unit=d.unit,
-    )
 
 
 class _Runner:

@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.estimation.laplace import at_bound
 from greybox.estimation.problem import Problem
-from greybox.estimation.solvers.levenberg_marquardt import POOR, damped_step
+from greybox.estimation.solvers.levenberg_marquardt import POOR, full_step
 from greybox.symbolic import FloatArray
 
 PAIR = ("motor_lag.tau", "command_delay.d")
@@ -53,8 +53,8 @@ def _reached(problem: Problem, theta: FloatArray, kept: float) -> float:
     there = problem.evaluate(theta)
     if not there.valid or there.gradient is None or there.hessian is None:
         return np.inf
-    step = damped_step(there.gradient, there.hessian, at_bound(problem, theta, there), 0.0)
-    promised = max(-0.5 * float(there.gradient @ step), 0.0)
+    held = at_bound(problem, theta, there)
+    step, promised = full_step(there.gradient, there.hessian, held)
     after = problem.evaluate(problem.inside(theta + step), 0)
     won = there.cost - after.cost if after.valid else 0.0
     return there.cost - (promised if won >= kept * promised else max(won, 0.0))

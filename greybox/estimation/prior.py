@@ -23,6 +23,7 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.estimation.unknown import Unknown
+from greybox.model.parameter import Parameter
 from greybox.statistics.normal_mass import log_mass
 from greybox.symbolic import FloatArray
 
@@ -38,6 +39,27 @@ class Prior(NamedTuple):
     sigma: float
     long_tails: bool = False
     normal_core: bool = False
+
+
+def unknown_of(d: Parameter, start: float, prior: Prior, flight: str | None = None) -> Unknown:
+    """The parameter `d`, of one `flight` or (None) of all, as an unknown of a search that starts at
+    `start`, with what is believed of it (`prior`, its sigma 0: nothing)."""
+    own = 0.0 if d.origin is None and d.lower >= 0 else d.origin
+    return Unknown(
+        name=d.name,
+        kind="parameter",
+        flight=flight,
+        start=start,
+        lower=d.lower,
+        upper=d.upper,
+        mean=prior.mean,
+        sigma=prior.sigma if prior.sigma > 0 else math.inf,
+        long_tails=prior.long_tails,
+        normal_core=prior.normal_core,
+        scale=d.scale,
+        unit=d.unit,
+        origin=math.nan if own is None else own,
+    )
 
 
 def demand_priors(option: str, given: object) -> None:
@@ -93,6 +115,13 @@ def pull_left(squared: FloatArray) -> FloatArray:
     """Pull of Cauchy's tails in units of the normal prior's, `squared` (n,) sigmas from the mean:
     one at one sigma."""
     return 2.0 / (1.0 + squared)
+
+
+def denied_share(pulls: FloatArray, precision: FloatArray) -> FloatArray:
+    """Share (n,) that normal priors of this `precision` (n,), which pull so (n,), lose if only
+    their core is normal."""
+    squared = np.divide(pulls**2, precision, out=np.zeros_like(precision), where=precision > 0)
+    return np.asarray(1.0 - np.minimum(pull_left(squared), 1.0))
 
 
 def spread_at(u: Unknown, theta: float) -> float:

@@ -26,7 +26,7 @@ from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.feasible import Body, bodies_of, moved_inside, wall
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.predictor import Block, Predictor
-from greybox.estimation.prior import Prior, prior_terms
+from greybox.estimation.prior import Prior, prior_terms, unknown_of
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
 from greybox.estimation.settling import start_sigma
 from greybox.estimation.solver import IndexArray, Value
@@ -511,20 +511,4 @@ def _declared(
     d: Parameter, value: float, flight: str | None, given: tuple[float, float] | Prior | None
 ) -> Unknown:
     prior = Prior(*given) if given is not None else Prior(d.nominal, d.sigma)
-    start = min(max(value, d.lower), d.upper)
-    own = 0.0 if d.origin is None and d.lower >= 0 else d.origin
-    return Unknown(
-        name=d.name,
-        kind="parameter",
-        flight=flight,
-        start=start,
-        lower=d.lower,
-        upper=d.upper,
-        mean=prior.mean,
-        sigma=prior.sigma if prior.sigma > 0 else np.inf,
-        long_tails=prior.long_tails,
-        normal_core=prior.normal_core,
-        scale=d.scale,
-        unit=d.unit,
-        origin=np.nan if own is None else own,
-    )
+    return unknown_of(d, min(max(value, d.lower), d.upper), prior, flight)

@@ -465,7 +465,8 @@ class Fit(Shown):
     def summary(self) -> str:
         """The estimates as text: the verdict first, then how the solver ended and what doubts every
         error."""
-        lines = [NOT_JUDGED if self.verdict is None else self.verdict.line, self.status.advice]
+        judged = [NOT_JUDGED] if self.verdict is None else self.verdict.lines()
+        lines = [*judged, self.status.advice]
         if (
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first

@@ -68,6 +68,7 @@ class VerdictDocument(TypedDict):
     reason: str
     action: str
     anchor: str
+    why: NotRequired[list[str]]
     parts: NotRequired[list[PartRow]]
 
 
@@ -144,11 +145,12 @@ def _finite(value: float | None) -> float | None:
 class Verdict:
     """Whether a model is usable, and the one line that says so.
 
-    `line` is the first line of every output. `useful_seconds` [s]: up to there no group that could
-    be judged is worse than holding the last value; judging ended at `judged_seconds`. `judged_on`
-    says in words which flights judged (`flights` by name). `reason`, `action` and `anchor` (a
-    section of docs/bad_fit.md) are empty where nothing is wrong. `parts` are every flight, where
-    there are several, and every axis, judged alone; () in an older file.
+    `line` is the first line of every output, `why` what stands below it: what denies it, what holds
+    it up and what to do, the most important first; () in an older file. `useful_seconds` [s]: up to
+    there no group that could be judged is worse than holding the last value; judging ended at
+    `judged_seconds`. `judged_on` says in words which flights judged (`flights` by name). `reason`,
+    `action` and `anchor` (a section of docs/bad_fit.md) are empty where nothing is wrong. `parts`
+    are every flight, where there are several, and every axis, judged alone; () in an older file.
     """
 
     outcome: Outcome
@@ -161,7 +163,17 @@ class Verdict:
     reason: str = ""
     action: str = ""
     anchor: str = ""
+    why: tuple[str, ...] = ()
     parts: tuple[Part, ...] = ()
+
+    def lines(self) -> list[str]:
+        """The first line, and indented below it the reasons."""
+        return [self.line, *(f"  {reason}" for reason in self.why)]
+
+    @property
+    def sentence(self) -> str:
+        """In one line, as errors are told: of a model that is refused all, else the first line."""
+        return "; ".join([self.line, *self.why]) if self.refused else self.line
 
     @property
     def refused(self) -> bool:
@@ -186,6 +198,7 @@ class Verdict:
             "reason": self.reason,
             "action": self.action,
             "anchor": self.anchor,
+            "why": list(self.why),
             "parts": [p.to_dict() for p in self.parts],
         }
 
@@ -217,6 +230,7 @@ class Verdict:
             reason=str(data["reason"]),
             action=str(data["action"]),
             anchor=str(data["anchor"]),
+            why=tuple(str(w) for w in data.get("why", ())),
             parts=tuple(
                 Part(
                     name=str(p["name"]),
@@ -238,8 +252,11 @@ def _number(value: float | None, sign: int = 1) -> float:
 
 UNFINISHED = Verdict(
     outcome=Outcome.UNFINISHED,
-    line="UNFINISHED: the command that fitted this model ended before errors were whole, predictions "
-    "calibrated and the model judged; the same command starts again",
+    line="UNFINISHED: the command that fitted this model ended before the model was judged",
+    why=(
+        "its errors are not whole, its predictions not calibrated",
+        "next: the same command starts again",
+    ),
     useful_seconds=0.0,
     judged_seconds=0.0,
     judged_on="",
@@ -253,4 +270,4 @@ def demand_usable(verdict: Verdict | None, model: str, *, even_so: bool) -> None
     """Raises `ModelError` where flights judged the `model` (its name) not usable and nobody said
     `even_so`. A model that was not judged passes."""
     if verdict is not None and verdict.refused and not even_so:
-        raise ModelError(verdict.line, where=model, fix="even_so=True goes on all the same")
+        raise ModelError(verdict.sentence, where=model, fix="even_so=True goes on all the same")

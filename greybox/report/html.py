@@ -137,9 +137,12 @@ class Report:
         self._scripts: list[str] = []
         self._css = CSS
 
-    def first_line(self, text: str, *, good: bool) -> None:
-        """What the page says first: its result in one line, and whether it is as it should be."""
-        self._first = f'<p class="{"good" if good else "bad"}"><strong>{escape(text)}</strong></p>'
+    def first_line(self, text: str, why: Sequence[str] = (), *, good: bool) -> None:
+        """What the page says first: its result in one line, with the reasons, and whether it is as
+        it should be."""
+        below = f"<br/>{escape('; '.join(why))}" if why else ""
+        kind = "good" if good else "bad"
+        self._first = f'<p class="{kind}"><strong>{escape(text)}</strong>{below}</p>'
 
     @contextlib.contextmanager
     def headline(self) -> Iterator[None]:

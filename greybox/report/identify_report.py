@@ -26,7 +26,7 @@ def identify_report(
     report = Report("From flights to a model", content["command"])
     verdict = outcome["verdict"]
     usable = verdict is not None and verdict["outcome"] == Outcome.USABLE.value
-    report.first_line(outcome["line"], good=usable)
+    report.first_line(outcome["line"], verdict.get("why", ()) if verdict else (), good=usable)
     with report.headline():
         if validation:
             headline_figure(report, validation)

@@ -16,7 +16,7 @@ from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
 from greybox.shown import in_degrees
-from greybox.validation.usefulness import in_words
+from greybox.validation.finding import in_words
 
 if TYPE_CHECKING:
     from greybox.validation.cross_correlation import CrossDocument
@@ -63,12 +63,13 @@ BESIDE = "measured_start", "persistence", "dead_reckoning"
 
 
 def first_line(report: Report, verdict: VerdictDocument | None) -> None:
-    """The verdict on a model (as in model.json) as the first line of its report; that there is none
-    where there is none."""
+    """The verdict on a model (as in model.json) as the first line of its report, with its reasons;
+    that there is none where there is none."""
     if verdict is None:
         report.first_line(NOT_JUDGED, good=False)
     else:
-        report.first_line(verdict["line"], good=verdict["outcome"] == Outcome.USABLE.value)
+        good = verdict["outcome"] == Outcome.USABLE.value
+        report.first_line(verdict["line"], verdict.get("why", ()), good=good)
 
 
 def skill_in_words(report: Report, verdict: VerdictDocument | None) -> None:

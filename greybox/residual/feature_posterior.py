@@ -196,10 +196,6 @@ class FeaturePosterior(AsFunction, Shown):
             self, domain=replace(self.domain, distance=(usual[0], usual[1], usual[2], usual[3]))
         )
 
-    def with_spread(self, factor: float) -> FeaturePosterior:
-        """The same mean with `factor` > 0 times the standard deviation."""
-        return replace(self, root=self.root * factor, prior=self.prior * factor**2)
-
     def to_dict(self) -> dict[str, Json]:
         """All of it as plain JSON values."""
         return {

@@ -100,9 +100,9 @@ def told_of_pushes(
     model: IdentifiedModel, data: Dataset, judged: Sequence[GroupSkill]
 ) -> tuple[list[str], str]:
     """In words, the pushes that follow the motion and matter beside the errors of the `judged`
-    groups, and the force that carries the craft; and what is to be said first where the model is
-    worse than holding the last value as soon as that force is not told. Nothing of flights that
-    are too short to see pushes in, or too wild."""
+    groups, and the force that carries the craft; and what is to be said first
+    where the model is worse than holding the last value as soon as that force is not told. Nothing
+    of flights that are too short to see pushes in, or too wild."""
     errors, ahead = {g.name: g for g in judged}, judged[0].seconds
     try:
         seen = pushes(model, data, errors)
@@ -131,9 +131,9 @@ def _filter_only(carried: float, judged: Sequence[GroupSkill]) -> str:
         fall = {"velocity": pull * g.seconds, "position": 0.5 * pull * g.seconds**2}
         if fall.get(g.name, 0.0) > g.last_value:
             return (
-                f"USE WITH ITS FILTER ONLY (a force without a name carries {100 * carried:.0f} % of "
-                f"the weight: thrust, mass or inertia is wrong; alone the model errs by "
-                f"{fall[g.name]:.2g} {g.unit} in {g.name} {g.seconds:g} s ahead). "
+                f"a force without a name carries {100 * carried:.0f} % of the weight: thrust, mass "
+                f"or inertia is wrong; alone the model errs by {fall[g.name]:.2g} {g.unit} in "
+                f"{g.name} {g.seconds:g} s ahead"
             )
     return ""
 

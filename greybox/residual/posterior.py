@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -346,11 +346,6 @@ class GPPosterior(AsFunction, Shown):
         if noise not in self.group_noise:
             raise UnknownNameError("group of the GP's noise", str(noise), self.group_noise)
         return self.group_noise[noise]
-
-    def with_spread(self, factor: float) -> GPPosterior:
-        """The same mean with `factor` > 0 times the standard deviation, near the data and far from
-        it."""
-        return replace(self, output_scale=self.output_scale * factor, weights=self.weights / factor)
 
     @cached_property
     def _mean(self) -> ca.Function:

@@ -15,7 +15,7 @@ more than the information says, as those of coloured errors do, count for less (
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,6 +45,34 @@ class Parabola:
     floor: BoolArray
     ceiling: BoolArray
     scatter: FloatArray | None = None
+
+    @staticmethod
+    def about(
+        data: FloatArray,
+        gradient: FloatArray,
+        prior: FloatArray,
+        loose: Iterable[int],
+        causes: Mapping[str, Sequence[int]],
+        *,
+        floor: BoolArray | None = None,
+        ceiling: BoolArray | None = None,
+        scatter: FloatArray | None = None,
+    ) -> Parabola:
+        """The parabola where flights give the information `data` (n, n). Of the unknowns that are
+        `loose` those are fitted that are no cause's and of which anything is told; without `floor`
+        and `ceiling` nothing is bounded."""
+        information, never = data + np.diag(prior), np.zeros(len(prior), dtype=bool)
+        of_causes = {i for rows in causes.values() for i in rows}
+        return Parabola(
+            information=information,
+            gradient=gradient,
+            prior=prior,
+            fitted=[i for i in loose if i not in of_causes and information[i, i] > 0],
+            causes=causes,
+            floor=never if floor is None else floor,
+            ceiling=never if ceiling is None else ceiling,
+            scatter=scatter,
+        )
 
     def felt(self) -> dict[str, list[int]]:
         """Of every cause the places that the data feel."""

@@ -1,7 +1,7 @@
 """Against: a model beside the one that it was made of, on the same instants of the same flights.
 
 What differs counts where it is more than chance and worth something. Chance is judged as in
-`greybox.validation.usefulness`, by blocks of consecutive origins, with the quantile of Student for
+`greybox.validation.comparison`, by blocks of consecutive origins, with the quantile of Student for
 as many, one side, and all groups and horizons together (Bonferroni).
 """
 
@@ -18,9 +18,10 @@ from greybox.model.verdict import Outcome, Verdict
 from greybox.shown import in_degrees
 from greybox.statistics.distributions import student_quantile
 from greybox.validation.advice import Hint, Symptom, likely
+from greybox.validation.comparison import standard_error
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.result import Validation
-from greybox.validation.usefulness import TEST_FLIGHTS, standard_error
+from greybox.validation.usefulness import TEST_FLIGHTS
 
 TRACE = 0.02
 """Share of the squared error below which a difference is worth nothing: one per cent of the error

@@ -21,16 +21,35 @@ def denies(part: Part, useful: float) -> bool:
     return part.outcome is Outcome.NOT_USABLE or early
 
 
-def reservations(parts: Sequence[Part], useful: float) -> str:
-    """In brackets what denies that the model is useful for `useful` [s], and what is too calm to
-    judge; "" where nothing is."""
+def in_brackets(parts: Sequence[Part], useful: float) -> str:
+    """How many flights and axes deny that the model is useful for `useful` [s], and how far, or are
+    too calm to judge, for the first line; "" where none are."""
+    against = [p for p in parts if denies(p, useful)]
+    refused = [p for p in _of(against, "flight") if p.outcome is Outcome.NOT_USABLE]
+    level = [p for p in against if p not in refused and p.worse_from is None]
+    said = []
+    if refused:
+        said.append(f"not usable on {len(refused)} of {_counted(_of(parts, 'flight'))}")
+    if level:
+        said.append(f"not on {_counted(level)}")
+    if less := [p for p in against if p not in refused and p not in level]:
+        least = min(less, key=lambda p: p.useful_seconds)
+        said.append(f"down to {_seconds(least)} on {_counted(less)}")
+    if calm := _calm(parts, useful):
+        said.append(f"{_counted(calm)} too calm")
+    return f" ({'; '.join(said)})" if said else ""
+
+
+def reservations(parts: Sequence[Part], useful: float) -> list[str]:
+    """What denies that the model is useful for `useful` [s], and what is too calm to judge, by
+    name."""
     flights, axes = (
         sorted((p for p in _of(parts, kind) if denies(p, useful)), key=_worst_first)
         for kind in ("flight", "axis")
     )
-    said = [_flights(flights), _axes(axes), _calm(parts, useful)]
-    text = "; ".join(s for s in said if s)
-    return f" ({text})" if text else ""
+    calm = _named([p.name for p in _calm(parts, useful)])
+    said = [_flights(flights), _axes(axes), f"too calm to judge {calm}" if calm else ""]
+    return [s for s in said if s]
 
 
 def denied(parts: Sequence[Part], useful: float) -> bool:
@@ -38,16 +57,15 @@ def denied(parts: Sequence[Part], useful: float) -> bool:
     return any(denies(p, useful) for p in parts)
 
 
-def useful_alone(parts: Sequence[Part]) -> str:
-    """A sentence of the flights on which a model is useful that is not usable on all together; ""
-    where there is none."""
+def useful_alone(parts: Sequence[Part]) -> list[str]:
+    """The flights on which a model is useful that is not usable on all together, in words; nothing
+    where there are none."""
     good = sorted(
         (p for p in _of(parts, "flight") if p.outcome is Outcome.USABLE),
         key=lambda p: -p.useful_seconds,
     )
-    if not good:
-        return ""
-    return f". Alone it is useful on {_named([f'{p.name} for {_seconds(p)}' for p in good])}"
+    named = _named([f"{p.name} for {_seconds(p)}" for p in good])
+    return [f"alone it is useful on {named}"] if good else []
 
 
 def in_sentences(verdict: Verdict) -> list[str]:
@@ -97,10 +115,18 @@ def _axes(bad: Sequence[Part]) -> str:
     )
 
 
-def _calm(parts: Sequence[Part], useful: float) -> str:
+def _calm(parts: Sequence[Part], useful: float) -> list[Part]:
     """The flights and axes that move too little to judge."""
-    calm = [p.name for p in parts if p.outcome is Outcome.TOO_CALM and not denies(p, useful)]
-    return f"too calm to judge {_named(calm)}" if calm else ""
+    return [p for p in parts if p.outcome is Outcome.TOO_CALM and not denies(p, useful)]
+
+
+def _counted(parts: Sequence[Part]) -> str:
+    """How many flights and axes these are."""
+    said = []
+    for kind, many in (("flight", "flights"), ("axis", "axes")):
+        if n := len(_of(parts, kind)):
+            said.append(f"{n} {kind if n == 1 else many}")
+    return ", ".join(said)
 
 
 def _named(all_: Sequence[str]) -> str:

@@ -12,8 +12,10 @@ from greybox.model.verdict import NOT_JUDGED, Verdict, VerdictDocument
 from greybox.shown import Cell, Shown
 from greybox.validation.adapt import Adaptation, AdaptedRow
 from greybox.validation.advice import Hint
+from greybox.validation.comparison import standard_of
 from greybox.validation.coverage import Coverage, CoverageRow
 from greybox.validation.cross_correlation import CrossCorrelation, CrossDocument
+from greybox.validation.finding import in_words
 from greybox.validation.horizon_table import (
     HorizonDocument,
     HorizonTable,
@@ -21,7 +23,7 @@ from greybox.validation.horizon_table import (
     plot_tables,
 )
 from greybox.validation.metrics import ChannelMetrics, MetricsRow
-from greybox.validation.usefulness import in_words, judge, standard_of
+from greybox.validation.usefulness import judge
 from greybox.validation.whiteness import Whiteness, WhitenessDocument
 
 if TYPE_CHECKING:
@@ -192,7 +194,7 @@ class Validation(Shown):
     def format(self) -> str:
         """Text for the terminal: the verdict, warnings, the multi-step tables, one-step errors and
         residual tests."""
-        lines = [NOT_JUDGED] if self.verdict is None else [self.verdict.line]
+        lines = [NOT_JUDGED] if self.verdict is None else self.verdict.lines()
         lines += (
             [f"  {line}" for line in in_words(self.verdict)] if self.verdict is not None else []
         )

@@ -3,12 +3,12 @@ measured IMU.
 
 A model that does not beat the last measured value knows nothing (ceiling); one that comes near dead
 reckoning with the measured IMU has nothing left to gain (floor). `judge` turns the three multi-step
-tables of a validation into one `Verdict`, whose first line is the first line of every output.
+tables of a validation into one `Verdict`, whose first line is the first line of every output: of
+all flights together, and of every flight and axis alone.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -16,177 +16,29 @@ from typing import Literal
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.model.verdict import GroupSkill, Outcome, Part, Verdict
-from greybox.shown import in_degrees
-from greybox.symbolic import BoolArray, FloatArray
-from greybox.validation.advice import Hint, Symptom, likely, symptom_of_group
-from greybox.validation.groups import Group
+from greybox.model.verdict import Outcome, Part, Verdict
+from greybox.symbolic import FloatArray
+from greybox.validation.advice import Hint
+from greybox.validation.comparison import (
+    Alone,
+    Comparison,
+    Grid,
+    Standard,
+    Weighed,
+    compare,
+    nearest,
+    weigh,
+)
+from greybox.validation.finding import conclude, not_usable_on_most, partly_judged, skill_of
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
-from greybox.validation.parts import denied, denies, in_sentences, reservations, useful_alone
+from greybox.validation.parts import denies, useful_alone
 
 TEST_FLIGHTS = "flights that it was not fitted to"
 FITTED_FLIGHTS = "the flights that were fitted"
 PARTLY_FITTED = "flights of which some were fitted"
 LEFT_OUT = "pieces of the training flights that were left out"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Standard:
-    """What "usable" means: every number that decides, with its reason.
-
-    A group is worse than the last value at a horizon where the mean error of the model is above
-    that of the last value by more than `equal` of it plus the smaller of one standard error and
-    `noise` of it.
-    """
-
-    minimum: float = 0.1
-    """[s] No group may be worse up to here. Rotors answer within 0.1 s (lag 20 to 70 ms and a
-    delay): a model that loses to the last value before they have is worth nothing to a
-    controller."""
-    look_ahead: float = 0.5
-    """[s] Where skill is stated, and up to where no group may be wrecked: what position controllers
-    and the model predictive controller of this package plan ahead."""
-    look_ahead_imu: float = 0.3
-    """[s] The same where only the IMU was logged: there is no attitude or place to plan for, only
-    rates to hold."""
-    longest: float = 1.0
-    """[s] Nothing is judged beyond: open loop, attitude errors of a second are those of the
-    disturbances."""
-    wrecked: float = 2.0
-    """Times the error of the last value, from which a model misleads whoever plans to
-    `look_ahead`."""
-    better: float = 0.9
-    """Error over error of the last value, geometric mean over the groups of turning (rotation,
-    rate) and over those of moving (the others), below which both must come somewhere from `minimum`
-    to `look_ahead`. A model that equals the last value everywhere is not useful. (On-board IMU
-    logs: 0.94 where motors never answered the commands in the model, 0.5 with their lag.)"""
-    equal: float = 0.02
-    """Share of the last value's error that nobody would notice."""
-    noise: float = 0.1
-    """At most this share of the last value's error is forgiven as chance: few blocks must not
-    excuse a bad model."""
-    short: float = 0.1
-    """[s] Up to here the error is that of the state estimate, and the last value is told the
-    reference itself, smoothed with later samples included. There dead reckoning, which starts from
-    the same estimate, may take its place as rival, up to `unfair` times the last value's error.
-    (Real flights: rates one sample ahead equal the last value, .083 to .090 against .090 rad/s.)
-    A noise that repeats itself, as vibration does, is foretold by holding a value one period long:
-    the last value's error is no less than it was at any shorter time.
-    The last specific force is itself the measured IMU, with every constant offset that no filter
-    corrects: its error at the end of this time is the rival all through it."""
-    unfair: float = 2.0
-    """See `short`."""
-    reach: float = 0.3
-    """Share of the origins that must reach a horizon: a few at the end of a short flight are no
-    sample of it."""
-    sensor_sample: float = 0.02
-    """[s] At sample times up to this the change of a value over one sample is mostly noise."""
-    noise_motion: float = 2.0
-    """A group moves less than this many times its change over one sample within `look_ahead`:
-    motion within noise."""
-
-
-def standard_of(sample_time: float) -> Standard:
-    """The standard of a model that is not a vehicle's, whose own time scale nobody knows: it counts
-    samples, as many as the seconds of a vehicle are at 100 Hz (10, 50 and 100). None of its outputs
-    is called calm."""
-    plain = Standard()
-    samples = {n: round(vars(plain)[n] / SPACING) for n in ("minimum", "look_ahead", "longest")}
-    return Standard(
-        **{n: k * sample_time for n, k in samples.items()}, short=0.0, sensor_sample=0.0
-    )
-
-
-SPACING = 0.01
-"""[s] Sample time at which the standard of a vehicle is told in samples."""
-
-CALM = {"position": 0.1, "velocity": 0.15, "rotation": 0.05, "rate": 0.2, "specific_force": 0.3}
-"""Mean change of a group [its unit] within half a second below which a flight is calm: a third of
-what an indoor flight of medium pace shows (NanoBench test flights: 0.44 m, 0.65 m/s, 0.15 rad, 0.77
-rad/s). Below, holding the last value is nearly right whatever flies. A model whose own error is
-above twice this is bad in any flight, and is not excused."""
-
-KINDS = (("rotation", "rate"), ("position", "velocity", "specific_force"))
-"""Turning and moving: a model that knows one of them says nothing of the other."""
-
-TELLING = {
-    "position": "figures of eight at 1 m/s",
-    "velocity": "figures of eight at 1 m/s",
-    "rotation": "fast figures of eight, or steps of 10 deg in roll and pitch",
-    "rate": "steps of 10 deg in roll, pitch and yaw",
-    "specific_force": "climbs and descents at 1 m/s",
-}
-"""The flight that would tell, per group."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Grid:
-    """The horizons (H,) that a group is judged at [s], the place of that where skill is stated, and
-    the rule."""
-
-    seconds: FloatArray
-    at: int
-    rule: Standard
-
-    @property
-    def ahead(self) -> float:
-        """The horizon where skill is stated [s]."""
-        return float(self.seconds[self.at])
-
-    @property
-    def first(self) -> int:
-        """The place of the horizon up to which no group may be worse."""
-        return _index(self.seconds, self.rule.minimum)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Comparison:
-    """One group on the grid of horizons: errors (H,), and where the last value is better."""
-
-    name: str
-    kind: Group
-    model: FloatArray
-    last: FloatArray
-    floor: FloatArray | None
-    worse: BoolArray
-    calm: bool
-    excused: bool
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Weighed:
-    """The groups by what speaks for and against them, and how many horizons are useful."""
-
-    compared: Sequence[_Comparison]
-    counted: Sequence[_Comparison]
-    """All but the excused ones."""
-    excused: Sequence[_Comparison]
-    """Worse than the last value, in flights that are too calm to tell."""
-    idle: Sequence[_Comparison]
-    """Nowhere better than the last value."""
-    wrecked: Sequence[_Comparison]
-    """So bad that whoever plans ahead is misled."""
-    ends: int
-    """Horizons before the first one at which a counted group is worse."""
-
-    def lost(self, grid: _Grid) -> bool:
-        """Whether a group is worse too early, or wrecked."""
-        return self.ends <= grid.first or bool(self.wrecked)
-
-    def useful(self, grid: _Grid) -> float:
-        """How far ahead the model is useful [s]."""
-        return float(grid.seconds[self.ends - 1]) if self.ends else 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Finding:
-    """What is concluded, in words; `reason`, `action` and `anchor` as in `Verdict`."""
-
-    outcome: Outcome
-    line: str
-    reason: str = ""
-    action: str = ""
-    anchor: str = ""
+IN_SHORT = {LEFT_OUT: "on pieces left out"}
+"""What is too long for the first line."""
 
 
 def judge(
@@ -212,32 +64,33 @@ def judge(
     whole = _Tables(model=model, last=last_value, floor=measured_imu)
     groups, grid = _judged(model, last_value, rule)
     lost = [g for g in model.groups if g in last_value.groups and g not in groups]
-    weighed = _weigh(_compared_of(whole, groups, grid), grid)
+    weighed = weigh(_compared_of(whole, groups, grid), grid)
     axes = _axes(whole, groups, grid)
     flights = _flights(whole, rule)
     parts = [_part(n, "flight", w, g) for n, w, g in flights]
-    parts += [_part(c.name, "axis", _weigh([c], grid), grid) for c in axes]
+    parts += [_part(c.name, "axis", weigh([c], grid), grid) for c in axes]
     useful = weighed.useful(grid)
     kept = [c for c, p in zip(axes, parts[len(flights) :], strict=True) if _kept(p, useful)]
-    found = _conclude(weighed, grid, list(hints), parts, kept)
+    found = conclude(weighed, grid, list(hints), parts, kept)
     if found.outcome is Outcome.NOT_USABLE:
-        found = replace(found, line=found.line + useful_alone(parts))
+        found = replace(found, why=(*found.why, *useful_alone(parts)))
     elif most := _most(flights, parts):
-        found = _not_usable_on_most(most, parts, list(hints))
+        found = not_usable_on_most(most, parts, list(hints))
         useful = most[0][1].useful(most[0][2])
-    found = _partly_judged(found, [*lost, *model.unjudged])
-    on = "" if judged_on == TEST_FLIGHTS else f" [judged on {judged_on}]"
+    found = partly_judged(found, [*lost, *model.unjudged])
+    on = f" [{IN_SHORT.get(judged_on, f'judged on {judged_on}')}]"
     return Verdict(
         outcome=found.outcome,
-        line=found.line + on,
+        line=found.line + ("" if judged_on == TEST_FLIGHTS else on),
         useful_seconds=useful,
         judged_seconds=float(grid.seconds[-1]),
         judged_on=judged_on,
         flights=tuple(model.flights),
-        groups=tuple(_skill(c, grid) for c in weighed.compared),
+        groups=tuple(skill_of(c, grid) for c in weighed.compared),
         reason=found.reason,
         action=found.action,
         anchor=found.anchor,
+        why=found.why,
         parts=tuple(parts),
     )
 
@@ -264,20 +117,16 @@ class _Tables:
         return None if self.floor is None else self.floor.groups.get(group)
 
 
-_Flight = tuple[str, "_Weighed", "_Grid"]
-"""Name of a flight, and its errors alone."""
-
-
-def _compared_of(tables: _Tables, groups: Iterable[str], grid: _Grid) -> list[_Comparison]:
+def _compared_of(tables: _Tables, groups: Iterable[str], grid: Grid) -> list[Comparison]:
     """The groups, each as a whole."""
     model, last = tables.model, tables.last
     return [
-        _compare(model.kinds[g], model.groups[g], last.groups[g], tables.floor_of(g), grid)
+        compare(model.kinds[g], model.groups[g], last.groups[g], tables.floor_of(g), grid)
         for g in groups
     ]
 
 
-def _axes(tables: _Tables, groups: Iterable[str], grid: _Grid) -> list[_Comparison]:
+def _axes(tables: _Tables, groups: Iterable[str], grid: Grid) -> list[Comparison]:
     """Every axis of the groups, over all flights."""
     out = []
     for g in groups:
@@ -287,15 +136,15 @@ def _axes(tables: _Tables, groups: Iterable[str], grid: _Grid) -> list[_Comparis
         for i, name in enumerate(kind.axes if len(own) == len(held) else ()):
             if i < len(own):
                 there = best[i] if i < len(best) else None
-                out.append(_compare(kind, own[i], held[i], there, grid, name=name))
+                out.append(compare(kind, own[i], held[i], there, grid, name=name))
     return out
 
 
-def _flights(tables: _Tables, rule: Standard) -> list[_Flight]:
+def _flights(tables: _Tables, rule: Standard) -> list[Alone]:
     """Every flight alone, where there are several; those that are too short to tell an error from
     chance are left out."""
     names = list(tables.model.flights)
-    out: list[_Flight] = []
+    out: list[Alone] = []
     for name in names if len(names) > 1 else ():
         one = tables.of(name)
         if all(len(e.block_sums) < 2 for e in one.model.groups.values()):
@@ -304,11 +153,11 @@ def _flights(tables: _Tables, rule: Standard) -> list[_Flight]:
             groups, grid = _judged(one.model, one.last, rule)
         except DataError:  # too short to judge by
             continue
-        out.append((name, _weigh(_compared_of(one, groups, grid), grid), grid))
+        out.append((name, weigh(_compared_of(one, groups, grid), grid), grid))
     return out
 
 
-def _part(name: str, kind: Literal["flight", "axis"], weighed: _Weighed, grid: _Grid) -> Part:
+def _part(name: str, kind: Literal["flight", "axis"], weighed: Weighed, grid: Grid) -> Part:
     """A flight or an axis alone, by the same rule as all together."""
     outcome, ends = Outcome.USABLE, weighed.ends
     ended = [c for c in weighed.counted if c.worse[ends : ends + 1].any()]
@@ -333,7 +182,7 @@ def _kept(axis: Part, useful: float) -> bool:
     return axis.outcome is Outcome.USABLE and not denies(axis, useful)
 
 
-def _most(flights: Sequence[_Flight], parts: Sequence[Part]) -> list[_Flight]:
+def _most(flights: Sequence[Alone], parts: Sequence[Part]) -> list[Alone]:
     """The flights on which the model is not usable alone, the worst first, where they are more than
     half of those that can be judged: what holds on the others does not make it usable."""
     own = {p.name: p for p in parts if p.kind == "flight"}
@@ -342,21 +191,9 @@ def _most(flights: Sequence[_Flight], parts: Sequence[Part]) -> list[_Flight]:
     return sorted(bad, key=lambda f: f[1].ends) if 2 * len(bad) > len(judged) else []
 
 
-def _not_usable_on_most(
-    most: Sequence[_Flight], parts: Sequence[Part], hints: list[Hint]
-) -> _Finding:
-    """What the worst flight says, and how many say so."""
-    name, weighed, grid = most[0]
-    found = _not_usable(weighed, grid, hints)
-    judged = [p for p in parts if p.kind == "flight" and p.outcome is not Outcome.TOO_CALM]
-    said = f"NOT USABLE on {len(most)} of {len(judged)} flights alone, as on {name}: "
-    line = said + found.line.removeprefix("NOT USABLE: ") + useful_alone(parts)
-    return replace(found, line=line)
-
-
 def _judged(
     model: HorizonTable, last_value: HorizonTable, rule: Standard
-) -> tuple[list[str], _Grid]:
+) -> tuple[list[str], Grid]:
     """The groups that have errors where skill is stated, and the horizons. Raises `DataError` as
     `judge`."""
     dt = model.sample_time
@@ -380,326 +217,8 @@ def _judged(
             )
         seconds: FloatArray = dt * np.arange(1, steps + 1, dtype=np.float64)
         imu_only = set(groups) <= {"rate", "specific_force"}
-        at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
+        at = nearest(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
         there = [g for g in groups if counts[g][at]]
         if there == groups:
-            return groups, _Grid(seconds=seconds, at=at, rule=rule)
+            return groups, Grid(seconds=seconds, at=at, rule=rule)
         groups = there
-
-
-def _compare(
-    kind: Group,
-    model: GroupErrors,
-    last: GroupErrors,
-    floor: GroupErrors | None,
-    grid: _Grid,
-    *,
-    name: str = "",
-) -> _Comparison:
-    """One group, or the axis of it that is called `name`."""
-    seconds, at, rule = grid.seconds, grid.at, grid.rule
-    steps = len(seconds)
-    own, held = model.mae[:steps], last.mae[:steps]
-    best = None if floor is None or len(floor.mae) < steps else floor.mae[:steps]
-    short = seconds <= rule.short + 1e-9
-    rival = np.where(short, np.fmax.accumulate(held), held)
-    if kind.name == "specific_force" and not kind.own:
-        rival[short] = np.maximum(rival, held[_index(seconds, rule.short)])[short]
-    elif best is not None:
-        short &= np.isfinite(best)
-        rival[short] = np.maximum(rival, np.minimum(best, rule.unfair * held))[short]
-    chance = np.minimum(standard_error(model, last, steps), rule.noise * held)
-    # A sample that is missing at a horizon (references sampled more slowly) says nothing.
-    known = np.isfinite(held) & ~np.isnan(own)
-    worse = known & ~(own <= rival + rule.equal * held + np.where(np.isfinite(chance), chance, 0.0))
-    scale = 0.0 if kind.own else CALM[kind.name] / math.sqrt(len(kind.axes) if name else 1)
-    if seconds[0] <= rule.sensor_sample:
-        scale = max(scale, rule.noise_motion * float(held[0]))
-    calm = bool(held[at] < scale)
-    excused = calm and bool(np.nanmax(own[: at + 1]) <= 2.0 * scale)
-    return _Comparison(
-        name=name or kind.name,
-        kind=kind,
-        model=own,
-        last=held,
-        floor=best,
-        worse=worse,
-        calm=calm,
-        excused=excused,
-    )
-
-
-def standard_error(model: GroupErrors, last: GroupErrors, steps: int) -> FloatArray:
-    """Standard error (steps,) of the difference between the two mean errors, from blocks of
-    consecutive origins.
-
-    Ratio estimator over blocks of unequal size (W. G. Cochran, "Sampling Techniques", 1977, section
-    6.3). NaN where fewer than two blocks are there or an error is not finite.
-    """
-    out = np.full(steps, np.nan)
-    if len(model.block_sums) != len(last.block_sums) or len(model.block_sums) < 2:
-        return out
-    counts = model.block_counts[:, :steps]
-    with np.errstate(invalid="ignore"):
-        difference = model.block_sums[:, :steps] - last.block_sums[:, :steps]
-        total, used = counts.sum(axis=0), (counts > 0).sum(axis=0)
-        safe = np.maximum(total, 1.0)
-        left = difference - difference.sum(axis=0) / safe * counts
-        variance = used / np.maximum(used - 1, 1) * (left * left).sum(axis=0) / safe**2
-        out[:] = np.where(used > 1, np.sqrt(variance), np.nan)
-    return out
-
-
-def _index(seconds: FloatArray, wanted: float) -> int:
-    """The horizon nearest to `wanted` [s]."""
-    return int(np.argmin(np.abs(seconds - wanted)))
-
-
-def _weigh(compared: Sequence[_Comparison], grid: _Grid) -> _Weighed:
-    at, rule = grid.at, grid.rule
-    excused = [c for c in compared if c.excused and c.worse[: at + 1].any()]
-    counted = [c for c in compared if c not in excused]
-    bad = (
-        np.any([c.worse for c in counted], axis=0)
-        if counted
-        else np.zeros(len(grid.seconds), dtype=bool)
-    )
-    usual = [[c for c in counted if c.kind.name in kind and not c.kind.own] for kind in KINDS]
-    together = [*usual, *([c] for c in counted if c.kind.own)]
-    return _Weighed(
-        compared=compared,
-        counted=counted,
-        excused=excused,
-        idle=[c for kind in together for c in _no_better(kind, slice(grid.first, at + 1), rule)],
-        # NaN: nothing to compare
-        wrecked=[c for c in counted if c.model[at] > rule.wrecked * c.last[at]],
-        ends=int(np.argmax(bad)) if bad.any() else len(grid.seconds),
-    )
-
-
-def _conclude(
-    weighed: _Weighed,
-    grid: _Grid,
-    hints: list[Hint],
-    parts: Sequence[Part],
-    axes: Sequence[_Comparison],
-) -> _Finding:
-    if weighed.lost(grid) or any(not c.calm for c in weighed.idle):
-        return _not_usable(weighed, grid, hints)
-    if weighed.excused or weighed.idle:
-        return _too_calm(weighed, grid, parts)
-    seconds = weighed.useful(grid)
-    claim = _claim([*weighed.counted, *axes], (grid.seconds > grid.rule.short)[: weighed.ends])
-    if denied(parts, seconds):
-        claim = f"taken together, {claim}"
-    skill = ", ".join(_compared(_skill(c, grid)) for c in weighed.compared)
-    return _Finding(
-        outcome=Outcome.USABLE,
-        line=f"{_useful(weighed, grid)}{reservations(parts, seconds)}: {claim}; "
-        f"{grid.ahead:.2g} s ahead {skill}",
-    )
-
-
-def _not_usable(weighed: _Weighed, grid: _Grid, hints: list[Hint]) -> _Finding:
-    """What the worst group points to, among what else was seen."""
-    at = grid.at
-    if weighed.ends <= grid.first:
-        worst = min(
-            (c for c in weighed.counted if c.worse.any()), key=lambda c: int(np.argmax(c.worse))
-        )
-    elif weighed.wrecked:
-        worst = max(weighed.wrecked, key=lambda c: float(c.model[at] / c.last[at]))
-    else:
-        worst = next(c for c in weighed.idle if not c.calm)
-    if np.isinf(worst.model[: at + 1]).any():
-        hints = [*hints, Hint(symptom=Symptom.DIVERGED)]
-    if _starts_off(worst, grid):
-        hints = [*hints, Hint(symptom=Symptom.START)]
-    lost = weighed.lost(grid)
-    reason, action, anchor = likely(hints, _symptom(worst.kind, lost))
-    line = (
-        f"NOT USABLE: {_failure(worst, lost, grid.seconds, at)}. Likely: {reason}; next: "
-        f"{action} ({anchor})"
-    )
-    return _Finding(
-        outcome=Outcome.NOT_USABLE, line=line, reason=reason, action=action, anchor=anchor
-    )
-
-
-def _starts_off(worst: _Comparison, grid: _Grid) -> bool:
-    """Whether dead reckoning, which knows all forces, loses to the last value too before the model
-    does, or where it does: what the two share is the start and the reference."""
-    if worst.floor is None or not worst.worse.any():
-        return False
-    until = slice(int(np.argmax(worst.worse)) + 1)
-    with np.errstate(invalid="ignore"):
-        lost = worst.floor[until] > (1.0 + grid.rule.equal) * worst.last[until]
-    return bool(lost.any())
-
-
-def _too_calm(weighed: _Weighed, grid: _Grid, parts: Sequence[Part]) -> _Finding:
-    """Groups that hardly move in these flights, and the flight that would tell."""
-    which = [c for c in weighed.compared if c in weighed.excused or c in weighed.idle]
-    names = " and ".join(_word(c.name) for c in which)
-    action = f"judge on a flight with {TELLING[which[0].name]}"
-    anchor = Symptom.CALM.anchor
-    moved = ", ".join(f"{_word(c.name)} {_value(c.last[grid.at], c.kind)}" for c in which)
-    line = (
-        f"too calm to judge {names}: within {grid.ahead:.2g} s the flights change by {moved}, "
-        f"where holding the last value is nearly right; {action} ({anchor})"
-    )
-    if len(which) < len(weighed.compared):
-        rest = [p for p in parts if p.outcome is not Outcome.TOO_CALM]
-        line += f". The rest is {_useful(weighed, grid)}{reservations(rest, weighed.useful(grid))}"
-    return _Finding(
-        outcome=Outcome.TOO_CALM,
-        line=line,
-        reason=f"the flights hardly move in {names}",
-        action=action,
-        anchor=anchor,
-    )
-
-
-def _partly_judged(found: _Finding, unjudged: Sequence[str]) -> _Finding:
-    """The finding, with the groups that were measured and have no errors."""
-    if not unjudged:
-        return found
-    said = f"{' and '.join(map(_word, unjudged))} could not be judged: too many samples missing"
-    if found.outcome is not Outcome.USABLE:
-        return replace(found, line=f"{found.line}. {said[0].upper()}{said[1:]}")
-    action, anchor = "greybox check names the gaps", Symptom.LOG_FAULT.anchor
-    return _Finding(
-        outcome=Outcome.PARTLY_JUDGED,
-        line=f"{said}; {action} ({anchor}). The rest is {found.line}",
-        reason=said,
-        action=action,
-        anchor=anchor,
-    )
-
-
-def _skill(c: _Comparison, grid: _Grid) -> GroupSkill:
-    seconds, at = grid.seconds, grid.at
-    floor = None if c.floor is None or not np.isfinite(c.floor[at]) else float(c.floor[at])
-    distance = float(c.last[at]) - (floor or 0.0)
-    gained = float(c.last[at] - c.model[at])
-    covered = gained / distance if distance > 0 else -math.inf if gained < 0 else 1.0
-    return GroupSkill(
-        name=c.name,
-        unit=c.kind.unit,
-        seconds=float(seconds[at]),
-        error=float(c.model[at]),
-        last_value=float(c.last[at]),
-        measured_imu=floor,
-        covered=covered,
-        worse_from=float(seconds[int(np.argmax(c.worse))]) if c.worse.any() else None,
-        calm=c.calm,
-    )
-
-
-def _useful(weighed: _Weighed, grid: _Grid) -> str:
-    more = " and more" if weighed.ends == len(grid.seconds) else ""
-    return f"useful for {weighed.useful(grid):.2g} s{more}"
-
-
-def _claim(counted: Sequence[_Comparison], late: BoolArray) -> str:
-    """What holds up to the end of use, at the horizons that are `late` enough: below the last
-    value, or not above it by more than chance."""
-    with np.errstate(invalid="ignore"):
-        above = [c for c in counted if (c.model[: len(late)] > c.last[: len(late)])[late].any()]
-    # A group says it of its axes.
-    groups = {c.kind.name for c in above if c.name == c.kind.name}
-    names = [c.name for c in above if c.name == c.kind.name or c.kind.name not in groups]
-    if not names:
-        return "errors stay below holding the last value"
-    return (
-        "no error is above holding the last value by more than chance "
-        f"({' and '.join(map(_word, names))}: level with it)"
-    )
-
-
-def _word(group: str) -> str:
-    return group.replace("_", " ")
-
-
-def _value(value: float, kind: Group) -> str:
-    unit, factor = in_degrees(kind.unit)
-    return f"{factor * value:.2g} {unit}"
-
-
-def _symptom(kind: Group, lost: bool) -> Symptom:
-    """What a model that is not usable lacks, as far as its worst group says."""
-    if kind.own:
-        return Symptom.OWN_OUTPUT
-    return symptom_of_group(kind.name) if lost else Symptom.NO_BETTER
-
-
-def _compared(g: GroupSkill) -> str:
-    unit, factor = in_degrees(g.unit)
-    floor = "" if g.measured_imu is None else f", measured IMU {factor * g.measured_imu:.2g}"
-    return (
-        f"{_word(g.name)} {factor * g.error:.2g} {unit} (last value "
-        f"{factor * g.last_value:.2g}{floor})"
-    )
-
-
-def _no_better(kind: Sequence[_Comparison], span: slice, rule: Standard) -> list[_Comparison]:
-    """The groups of a kind that together come nowhere in `span` clearly below the last value."""
-    if not kind:
-        return []
-    ratio = np.array([c.model[span] / np.maximum(c.last[span], 1e-300) for c in kind])
-    known = ratio[:, np.isfinite(ratio).all(axis=0)]
-    best = (
-        float(np.exp(np.log(np.maximum(known, 1e-300)).mean(axis=0)).min())
-        if known.size
-        else np.inf
-    )
-    return [] if best < rule.better else list(kind)
-
-
-def _failure(worst: _Comparison, lost: bool, seconds: FloatArray, at: int) -> str:
-    if lost:
-        text = (
-            f"{_word(worst.name)} is worse than holding the last value {_when(worst, seconds, at)}"
-        )
-    else:
-        text = f"{_word(worst.name)} is no better than holding the last value"
-    if not np.isfinite(worst.model[at]):
-        return f"{text}, and not finite"
-    own, last = _value(worst.model[at], worst.kind), _value(worst.last[at], worst.kind).split()[0]
-    return f"{text} ({seconds[at]:.2g} s ahead {own}, last value {last})"
-
-
-def _when(worst: _Comparison, seconds: FloatArray, at: int) -> str:
-    """The horizons at which the last value is better: from the first one on where that holds as far
-    as skill is stated, else the first stretch of them."""
-    first = int(np.argmax(worst.worse))
-    start, better = seconds[first], np.flatnonzero(~worst.worse[first:])
-    if not better.size or first + better[0] > at:
-        return f"from {start:.2g} s on"
-    last = seconds[first + int(better[0]) - 1]
-    return f"at {start:.2g} s" if last == start else f"from {start:.2g} to {last:.2g} s"
-
-
-def in_words(verdict: Verdict) -> list[str]:
-    """One plain sentence per group: how much of the way from the last value to the measured IMU the
-    model covers; then the flights and axes that deny the verdict alone."""
-    lines = []
-    for g in verdict.groups:
-        aim = "no error at all" if g.measured_imu is None else "the measured IMU"
-        if math.isnan(g.error):
-            said = "nothing was measured there"
-        elif not math.isfinite(g.error):
-            said = "predictions are not finite"
-        elif g.covered < 0:
-            better = "no better" if g.worse_from is None else "worse"
-            said = f"{better} than holding the last value"
-        else:
-            said = f"{100 * min(g.covered, 1.0):.0f} % of the way from the last value to {aim}"
-        calm = "; the flights hardly move in it" if g.calm else ""
-        worse = (
-            ""
-            if g.worse_from is None
-            else f"; the last value is first better {g.worse_from:.2g} s ahead"
-        )
-        lines.append(f"{_word(g.name)} {g.seconds:.2g} s ahead: {said}{worse}{calm}")
-    return [*lines, *in_sentences(verdict)]

@@ -41,6 +41,7 @@ from greybox.validation.baselines import (
     estimate_imu_bias,
     persistence,
 )
+from greybox.validation.comparison import Standard, standard_of
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import (
     BLOCK_SECONDS,
@@ -58,14 +59,7 @@ from greybox.validation.options import ValidateChoices, ValidateOptions
 from greybox.validation.result import Validation
 from greybox.validation.samples import BoolArray, complete_rows
 from greybox.validation.stated import stated_covariances
-from greybox.validation.usefulness import (
-    FITTED_FLIGHTS,
-    PARTLY_FITTED,
-    TEST_FLIGHTS,
-    Standard,
-    judge,
-    standard_of,
-)
+from greybox.validation.usefulness import FITTED_FLIGHTS, PARTLY_FITTED, TEST_FLIGHTS, judge
 
 Progress = Callable[[str], None]
 CHUNK = 200_000
@@ -574,8 +568,10 @@ class _Work:
         if physics is not None:
             there |= impossible(found.action, physics, self.dataset.channels)
         action = lacking(found.action, there)
-        line = found.line.replace(found.action, action) if found.action else found.line
-        return replace(found, action=action, line=line)
+        why = found.why
+        if found.action:
+            why = tuple(w.replace(found.action, action) for w in why)
+        return replace(found, action=action, why=why)
 
 
 def _has(channels: Sequence[str], *groups: str) -> bool:

@@ -130,6 +130,16 @@ class Plant(Protocol):
 
 
 @runtime_checkable
+class KnowsRotors(Protocol):
+    """A plant that says how many rotors it has; of another the model is believed."""
+
+    @property
+    def rotors(self) -> int:
+        """Their number."""
+        ...
+
+
+@runtime_checkable
 class KnowsStates(Protocol):
     """A plant that says its true states by themselves."""
 
@@ -189,7 +199,7 @@ def load_plant(name: str) -> Any:
 def fitting(plant: Plant, model: IdentifiedModel, start: tuple[float, float, float, float]) -> None:
     """Whether the plant has what the model's controller asks for. Raises `PlantError`."""
     commands = [n for n in model.dynamics.inputs.names if n != "vbat"]
-    rotors = getattr(plant, "rotors", len(commands))
+    rotors = plant.rotors if isinstance(plant, KnowsRotors) else len(commands)
     if rotors != len(commands):
         raise PlantError(
             "plant and model differ in their commands",

@@ -132,7 +132,7 @@ def test_a_fit_that_is_no_minimum_of_the_likelihood_stays_as_it_is(damped):
     assert with_rivals(other, data) is other
 
 
-def test_the_command_says_it_on_its_second_line(tmp_path, monkeypatch, capsys):
+def test_the_command_says_it_below_the_reasons_of_its_verdict(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, columns in zip("ab", flown(damping=DAMPING), strict=True):
         kept = {k: v for k, v in columns.items() if k in ("t", "u1", "u2", "u3", "u4", *RATES)}
@@ -143,6 +143,10 @@ def test_the_command_says_it_on_its_second_line(tmp_path, monkeypatch, capsys):
         f"--effects {','.join(EFFECTS)} --out out"
     )
     main(command.split())
-    second = capsys.readouterr().out.splitlines()[1]
-    assert second.startswith("next: greybox discover --vehicle v.toml --train a.csv b.csv")
-    assert "no measurement: the flights want rotational_damping" in second
+    first, *rest = capsys.readouterr().out.splitlines()
+    said = [line for line in rest if not line.startswith("  ")]
+    assert len(first) <= 100
+    assert said[0] == "next: greybox discover --vehicle v.toml --train a.csv b.csv"
+    reason = rest[rest.index(said[0]) + 1]
+    assert reason.startswith("  ")
+    assert "no measurement: the flights want rotational_damping" in reason

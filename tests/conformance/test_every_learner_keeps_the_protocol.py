@@ -151,14 +151,10 @@ def test_it_learns_a_bent_law_and_knows_how_sure_it_is(name: str) -> None:
     for label, candidate in candidates.items():
         assert isinstance(candidate, FeaturePosterior)
         found = regressed(candidate, seen)
-        mean, variance = found.evaluate(seen.z)
+        variance = found.evaluate(seen.z)[1]
         errors[label] = (np.std(found.evaluate(new.z)[0] - new.y, axis=0) / new.y.std(axis=0)).max()
         assert (variance > 0).all() and (variance < seen.y.var(axis=0)).all()
         assert found.active == (True, True) and silent(found).active == (False, False)
-        wide, _ = found.with_spread(2.0).evaluate(seen.z)
-        assert np.array_equal(wide, mean) and np.allclose(
-            found.with_spread(2.0).evaluate(seen.z)[1], 4 * variance
-        )
     assert max(errors.values()) < 0.3, errors
 
 

@@ -10,12 +10,7 @@ import pytest
 
 from greybox.data import dataset_from_arrays
 from greybox.estimation.fit import fit
-from greybox.estimation.lasting_pushes import (
-    Lasting,
-    blocks_of,
-    log_odds_from,
-    with_lasting_pushes,
-)
+from greybox.estimation.lasting_pushes import Lasting, LastingPushes
 from greybox.estimation.problem import make_problem
 from greybox.estimation.result import Fit
 from greybox.model.dynamics import StateSpaceModel
@@ -69,7 +64,8 @@ def test_slopes_are_differences_of_the_predictor() -> None:
     problem, theta, h = found.problem, found.theta, 1e-5
     for share in (1.0 * (np.arange(N) >= BEGIN), np.linspace(0.0, 1.0, N)):
         asked = lasting("disturbance.vel", "b", share=share)
-        wide, at = with_lasting_pushes(problem, theta, {"a": asked})
+        of_fit = LastingPushes(problem=problem, theta=theta)
+        wide, at = of_fit.with_pushes({"a": of_fit.felt(asked)})
         (block,) = wide.predictor.blocks(wide, at, True)
         assert block.jacobian is not None
         slope = block.jacobian[:, 0, -2:]
@@ -84,37 +80,27 @@ def test_slopes_are_differences_of_the_predictor() -> None:
         )
         other = make_problem(problem.dynamics, moved)
         assert [v.name for v in other.unknowns] == [v.name for v in problem.unknowns]
-        e = blocks_of(other, theta)[0].e - blocks_of(problem, theta)[0].e
+        e = LastingPushes(problem=other, theta=theta).blocks[0].e - of_fit.blocks[0].e
         assert slope[:, 0] == pytest.approx(e[:, 0] / h, abs=1e-4 * np.abs(slope).max())
 
 
 def odds_of(found: Fit, asked: Lasting) -> float:
     """Log odds of what lasts, by the parabola about the fit."""
-    wide, at = with_lasting_pushes(found.problem, found.theta, {"a": asked})
+    of_fit = LastingPushes(problem=found.problem, theta=found.theta)
+    wide, at = of_fit.with_pushes({"a": of_fit.felt(asked)})
     value, n = wide.evaluate(at), found.problem.n
-    assert value.hessian is not None and value.gradient is not None
-    never = np.zeros(wide.n, dtype=bool)
-    form = likeliest(
-        Parabola(
-            information=value.hessian,
-            gradient=value.gradient,
-            prior=np.array([u.sigma for u in wide.unknowns]) ** -2.0,
-            fitted=range(n),
-            causes={"a": range(n, wide.n)},
-            floor=never,
-            ceiling=never,
-        ),
-        {"a": 0.0},
-    )
+    assert value.data_hessian is not None and value.gradient is not None
+    prior = np.array([u.sigma for u in wide.unknowns]) ** -2.0
+    places = {"a": range(n, wide.n)}
+    about = Parabola.about(value.data_hessian, value.gradient, prior, range(n), places)
+    form = likeliest(about, {"a": 0.0})
     return 0.0 if form is None else form.log_odds
 
 
 def test_the_place_is_told_for_all_samples_at_once() -> None:
     found = fitted()
     asked = lasting("disturbance.vel")
-    odds = log_odds_from(
-        found.problem, found.theta, blocks_of(found.problem, found.theta)[0], asked
-    )
+    odds = LastingPushes(problem=found.problem, theta=found.theta).log_odds_from(asked)
     assert odds.shape == (N,) and abs(int(np.argmax(odds)) - BEGIN) <= 1
     assert odds[BEGIN] == pytest.approx(odds_of(found, asked), rel=0.02, abs=0.2)
     assert odds[BEGIN] > np.log(N) > odds[: BEGIN - 30].max()
@@ -122,6 +108,6 @@ def test_the_place_is_told_for_all_samples_at_once() -> None:
 
 def test_a_flight_without_one_has_no_place() -> None:
     found = fitted(push=0.0)
-    block = blocks_of(found.problem, found.theta)[0]
-    odds = log_odds_from(found.problem, found.theta, block, lasting("disturbance.vel"))
+    of_fit = LastingPushes(problem=found.problem, theta=found.theta)
+    odds = of_fit.log_odds_from(lasting("disturbance.vel"))
     assert odds.max() < np.log(N)

@@ -15,9 +15,11 @@ from greybox.errors import DataError
 from greybox.files import dump_json
 from greybox.model.verdict import Outcome, Verdict
 from greybox.validation.advice import ADVICE, Hint, Symptom, likely, symptom_of_group
+from greybox.validation.comparison import Standard, standard_error
+from greybox.validation.finding import in_words
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
-from greybox.validation.usefulness import FITTED_FLIGHTS, Standard, in_words, judge, standard_error
+from greybox.validation.usefulness import FITTED_FLIGHTS, judge
 
 DT = 0.01
 SECONDS = DT * np.arange(1, 101)
@@ -86,10 +88,13 @@ def test_a_model_that_beats_the_last_value_everywhere_is_useful_as_far_as_was_ju
     assert found.outcome is Outcome.USABLE
     assert found.exit_code == 0
     assert found.useful_seconds == pytest.approx(1.0)
-    assert found.line.startswith(
-        "useful for 1 s and more: errors stay below holding the last value; 0.5 s ahead position"
-    )
-    assert "last value 0.44, measured IMU 0.044" in found.line
+    assert found.line == "useful for 1 s and more"
+    assert found.why[0] == "errors stay below holding the last value"
+    assert found.why[1].startswith("0.5 s ahead position ")
+    assert found.why[1].endswith("(last value 0.44, measured IMU 0.044)")
+    assert len(found.why) == 1 + len(found.groups)
+    assert found.lines() == [found.line, *(f"  {w}" for w in found.why)]
+    assert found.sentence == found.line
     skill = {g.name: g.covered for g in found.groups}
     assert skill["rate"] == pytest.approx(0.6)
     assert skill["rotation"] == pytest.approx(0.6 / 0.9)
@@ -99,13 +104,11 @@ def test_what_is_only_level_with_the_last_value_is_not_called_below_it() -> None
     level = np.where(SECONDS < 0.3, 1.0, 2.53)  # 0.4 times this is 1 % above: nobody would notice
     found = verdict_of(own(rotation=level))
     assert found.outcome is Outcome.USABLE and found.useful_seconds == pytest.approx(1.0)
-    assert "errors stay below" not in found.line
-    assert (
+    assert found.why[0] == (
         "no error is above holding the last value by more than chance (rotation: level with it)"
-        in found.line
     )
     own_angle, last = (np.degrees(v) for v in (0.4 * 2.53 * LIVELY["rotation"], LIVELY["rotation"]))
-    assert f"rotation {own_angle:.2g} deg (last value {last:.2g}" in found.line
+    assert any(f"rotation {own_angle:.2g} deg (last value {last:.2g}" in w for w in found.why)
     said = next(line for line in in_words(found) if line.startswith("rotation"))
     assert said == "rotation 0.5 s ahead: no better than holding the last value"
 
@@ -123,13 +126,12 @@ def test_worse_within_a_tenth_of_a_second_is_not_usable_and_says_from_where() ->
     found = verdict_of(own(rotation=np.where(SECONDS < 0.025, 1.0, 4.0)))
     assert found.outcome is Outcome.NOT_USABLE
     assert found.exit_code == 1
-    assert found.line.startswith(
-        "NOT USABLE: rotation is worse than holding the last value from 0.03 s on"
-    )
-    assert "Likely: " in found.line
-    assert "; next: " in found.line
+    assert found.line == "NOT USABLE: rotation is worse than holding the last value from 0.03 s on"
+    assert found.why[0].startswith("0.5 s ahead rotation ")
+    assert found.why[1:] == (f"likely: {found.reason}", f"next: {found.action} ({found.anchor})")
     assert found.anchor == "docs/bad_fit.md#rotation-worse-than-the-last-value"
-    assert found.line.count("\n") == 0
+    assert found.sentence == "; ".join([found.line, *found.why])
+    assert found.sentence.count("\n") == 0
 
 
 @pytest.mark.parametrize("too", [True, False])
@@ -145,7 +147,7 @@ def test_forces_are_not_to_blame_where_dead_reckoning_loses_as_well(too: bool) -
     )
     assert found.outcome is Outcome.NOT_USABLE
     assert found.anchor == (Symptom.START if too else Symptom.POSITION).anchor
-    assert ("forces are wrong" in found.line) is not too
+    assert ("forces are wrong" in found.sentence) is not too
 
 
 def test_far_worse_at_half_a_second_is_not_usable_even_where_the_start_is_good() -> None:
@@ -224,8 +226,8 @@ def test_calm_flights_are_too_calm_to_judge_and_the_line_says_which_flight_would
     )
     assert found.outcome is Outcome.TOO_CALM
     assert found.exit_code == 0
-    assert found.line.startswith("too calm to judge position and velocity and rotation and rate")
-    assert "figures of eight" in found.line
+    assert found.line == "too calm to judge position, velocity, rotation and rate"
+    assert "figures of eight" in found.why[-1]
     assert found.anchor == "docs/bad_fit.md#too-calm-to-judge"
 
 
@@ -240,8 +242,7 @@ def test_only_the_groups_that_hardly_move_are_excused() -> None:
     last = held() | {"rotation": held(0.1)["rotation"]}
     found = verdict_of(own() | {"rotation": 2.0 * last["rotation"]}, last)
     assert found.outcome is Outcome.TOO_CALM
-    assert found.line.startswith("too calm to judge rotation")
-    assert "The rest is useful for 1 s" in found.line
+    assert found.line == "too calm to judge rotation; the rest is useful for 1 s and more"
 
 
 def test_logs_of_an_imu_alone_are_judged_a_shorter_time_ahead() -> None:
@@ -274,13 +275,16 @@ def test_a_group_that_was_measured_and_could_not_be_judged_is_named() -> None:
     )
     assert found.outcome is Outcome.PARTLY_JUDGED
     assert found.exit_code == 0
-    assert found.line.startswith("position could not be judged: too many samples missing")
-    assert "The rest is useful for 1 s" in found.line
+    assert found.line == (
+        "position could not be judged: too many samples missing; "
+        "the rest is useful for 1 s and more"
+    )
+    assert found.why[0].startswith("next: greybox check names the gaps")
     assert Verdict.from_dict(json.loads(dump_json(found.to_dict()))) == found
     bad = {g: 3.0 * c for g, c in last.items()}
     found = judge(replace(table("model", bad), unjudged=("position",)), table("persistence", last))
     assert found.outcome is Outcome.NOT_USABLE
-    assert "Position could not be judged" in found.line
+    assert found.why[0] == "position could not be judged: too many samples missing"
 
 
 def test_a_group_without_an_error_where_skill_is_stated_is_not_part_of_usable() -> None:
@@ -296,7 +300,7 @@ def test_a_group_without_an_error_where_skill_is_stated_is_not_part_of_usable() 
         found = judge(lacking("model", own(), gone), lacking("persistence", held(), gone))
         assert found.outcome is Outcome.PARTLY_JUDGED
         assert found.line.startswith("position could not be judged")
-        assert "nan" not in found.line
+        assert "nan" not in " ".join(found.lines())
         assert "position" not in {g.name for g in found.groups}
 
 
@@ -372,8 +376,8 @@ def test_a_noise_that_repeats_itself_is_no_motion_that_the_last_value_knows(grou
 
 def test_from_then_on_is_said_where_it_is_so() -> None:
     often = np.where((SECONDS > 0.025) & (SECONDS < 0.045), 4.0, 1.0)
-    assert "the last value from 0.03 to 0.04 s (0.5 s" in verdict_of(own(rotation=often)).line
+    assert verdict_of(own(rotation=often)).line.endswith("the last value from 0.03 to 0.04 s")
     once = np.where((SECONDS > 0.025) & (SECONDS < 0.035), 4.0, 1.0)
     found = verdict_of(own(rotation=once))
-    assert "than holding the last value at 0.03 s (0.5 s" in found.line
+    assert found.line.endswith("than holding the last value at 0.03 s")
     assert any("the last value is first better 0.03 s ahead" in line for line in in_words(found))

@@ -17,9 +17,9 @@ from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.dynamics import StateSpaceModel
 from greybox.symbolic import Layout, Signal
+from greybox.validation.comparison import Standard, standard_of
 from greybox.validation.groups import GROUPS, groups_of
 from greybox.validation.horizons import horizons_of
-from greybox.validation.usefulness import Standard, standard_of
 from tests import motor
 
 

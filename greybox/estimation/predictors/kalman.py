@@ -23,7 +23,7 @@ import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -282,7 +282,7 @@ class Filter:
         return 0
 
 
-def _ptr(array: npt.NDArray[np.generic]) -> Any:
+def _ptr(array: npt.NDArray[np.generic]) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 

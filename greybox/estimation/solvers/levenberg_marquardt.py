@@ -366,8 +366,14 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
 
 def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
     """g' H^-1 g / 2 over the unknowns that are not held: the decrease that a full step promises."""
+    return full_step(g, h, held)[1]
+
+
+def full_step(g: FloatArray, h: FloatArray, held: BoolArray) -> tuple[FloatArray, float]:
+    """(the Gauss-Newton step (n,) of the unknowns that are not held, the decrease that it
+    promises)."""
     step = damped_step(g, h, held, 0.0)
-    return max(-0.5 * float(g @ step), 0.0)
+    return step, max(-0.5 * float(g @ step), 0.0)
 
 
 def boxed_step(

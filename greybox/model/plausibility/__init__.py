@@ -11,6 +11,7 @@ from greybox.files import Json
 from greybox.model.beliefs import Beliefs
 from greybox.model.effects import CATALOGUE, demand_parameters, effect_by_name
 from greybox.model.plausibility import judges
+from greybox.model.plausibility.allocation import allocation
 from greybox.model.plausibility.craft import FIGURES, Craft
 from greybox.model.plausibility.finding import SEVERITIES, Implausible
 from greybox.model.vehicle import Vehicle
@@ -142,9 +143,7 @@ def _judged(craft: Craft) -> Plausibility:
             for f in judge(craft)
         ]
     found += [
-        f
-        for judge in (judges.allocation, judges.lags, judges.sigmas, judges.noise)
-        for f in judge(craft)
+        f for judge in (allocation, judges.lags, judges.sigmas, judges.noise) for f in judge(craft)
     ]
     found.sort(key=lambda f: SEVERITIES.index(f.severity))
     return Plausibility(

@@ -17,6 +17,8 @@ from greybox.symbolic import FloatArray
 
 AIR = 1.225
 """Density of air at sea level [kg/m^3]."""
+HOVER_RANGE = (0.15, 0.85)
+"""Shares of the command range that leave a hover room to both sides."""
 
 Nu = TypeVar("Nu", float, FloatArray)
 FIGURES = (
@@ -60,6 +62,10 @@ class Craft:
         ratio = float(self.lift[-1]) / self.weight
         values = (self.m, self.L, ratio, self.hover, self.lever, self.tip, self.coefficient)
         self.figures: dict[str, float | None] = dict(zip(FIGURES, values, strict=True))
+
+    def share_of(self, commands: float | FloatArray) -> FloatArray:
+        """Where commands stand in their range, 0 to 1."""
+        return np.asarray((commands - self.u[0]) / (self.u[-1] - self.u[0]), dtype=np.float64)
 
     def polynomial(self, kind: str, nu: Nu) -> Nu:
         """Thrust or torque of one rotor at normalised speed."""
