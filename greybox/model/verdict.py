@@ -239,7 +239,7 @@ def _number(value: float | None, sign: int = 1) -> float:
 UNFINISHED = Verdict(
     outcome=Outcome.UNFINISHED,
     line="UNFINISHED: the command that fitted this model ended before errors were whole, predictions "
-    "calibrated and the model judged; the same command starts again",
+    "calibrated and the model judged; the same command goes on",
     useful_seconds=0.0,
     judged_seconds=0.0,
     judged_on="",
