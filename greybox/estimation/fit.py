@@ -26,6 +26,7 @@ from greybox.estimation.result import Estimate, Fit
 from greybox.estimation.solver import Progress, Solver
 from greybox.estimation.solvers.levenberg_marquardt import GOOD, POOR, LevenbergMarquardt
 from greybox.estimation.status import Code, Interrupted, Status
+from greybox.journal import answers
 from greybox.model.dynamics import Dynamics
 from greybox.model.given_values import demand_given
 from greybox.model.identified import IdentifiedModel
@@ -83,7 +84,7 @@ def fit(
         # Multiple shooting closes its gaps first.
         start = predictor.approach(problem, start, progress)
         try:
-            theta, status = solver.solve(problem, problem.inside(start), progress)
+            theta, status = solved(problem, solver, problem.inside(start), progress)
             if status.converged and (predictor.one_step is predictor or not _rough(solver)):
                 theta, status = _lowest(problem, solver, theta, status, progress)
         except Interrupted as stop:
@@ -99,6 +100,18 @@ def with_noise_of(model: Dynamics, options: FitOptions) -> Dynamics:
     `UnknownNameError` for one that there is not."""
     noisy = with_parts(model, map(part_named, options.noise_parts))
     return with_disturbance(noisy, options.disturbance)
+
+
+def solved(
+    problem: Problem, solver: Solver, start: FloatArray, progress: Progress | None = None
+) -> tuple[FloatArray, Status]:
+    """What a solver finds from `start` (n,), or found when the same work was stopped later on
+    (`greybox.journal`). Raises `Interrupted`."""
+    asked = [solver.name, [(u.name, u.flight) for u in problem.unknowns], start]
+    ((theta, status),) = answers(
+        [asked], lambda _: [(0, solver.solve(problem, start, progress))], (Status, Code)
+    )
+    return theta, status
 
 
 def _rough(solver: Solver) -> bool:
@@ -121,7 +134,7 @@ def _lowest(
         start = elsewhere(problem, theta, GOOD if _rough(solver) else POOR)
         if start is None:
             return theta, status
-        other, how = solver.solve(problem, start, progress)
+        other, how = solved(problem, solver, start, progress)
         better = problem.evaluate(other, 0).cost < problem.evaluate(theta, 0).cost
     except KeyboardInterrupt:
         raise Interrupted((theta, replace(status, code=Code.INTERRUPTED))) from None
