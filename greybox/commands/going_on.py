@@ -8,7 +8,7 @@ import contextlib
 import secrets
 import sys
 import sysconfig
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib import resources
 from pathlib import Path
 
@@ -20,13 +20,17 @@ SHOWN = {"out", "json", "mcap", "ulog", "quiet", "debug", "executor", "kept", "o
 
 
 @contextlib.contextmanager
-def going_on(arguments: argparse.Namespace, console: Console) -> Iterator[None]:
+def going_on(
+    arguments: argparse.Namespace, console: Console, more: Iterable[Path] = ()
+) -> Iterator[None]:
     """Fits within are kept in --out until they have all ended, and those that are there already are
-    not done again. What was given, own programs among it, has been read. An interrupt adds to what
-    the command says that it has `kept`."""
+    not done again. What was given, own programs among it, has been read; `more` are files that no
+    option names. An interrupt adds to what the command says that it has `kept`."""
+    from greybox.files import content_sha256
     from greybox.journal import FILE, fits, kept_in
 
-    with kept_in(Path(arguments.out) / FILE, given(arguments)) as journal:
+    all_given = given(arguments) | {f"file {p.name}": content_sha256(p) for p in more}
+    with kept_in(Path(arguments.out) / FILE, all_given) as journal:
         if journal.going_on:
             console.say(f"  {journal.going_on}")
         try:
@@ -60,12 +64,13 @@ def given(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _content(word: str) -> str:
-    """Checksum of the file or folder that a word names; "" where it names none. A pipe is another
-    one every time."""
+    """Checksum of the file or folder that a word names, or FILE:NAME; "" where it names none. A pipe
+    is another one every time."""
     from greybox.files import content_sha256
 
-    place = Path(word)
-    if not word or not place.exists():
+    named = word if word and Path(word).exists() else word.rpartition(":")[0]
+    place = Path(named)
+    if not named or not place.exists():
         return ""
     return content_sha256(place) if place.is_file() or place.is_dir() else secrets.token_hex()
 

@@ -23,10 +23,10 @@ from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.result import Estimate, Fit
+from greybox.estimation.solved import solved
 from greybox.estimation.solver import Progress, Solver
 from greybox.estimation.solvers.levenberg_marquardt import GOOD, POOR, LevenbergMarquardt
 from greybox.estimation.status import Code, Interrupted, Status
-from greybox.journal import answers
 from greybox.model.dynamics import Dynamics
 from greybox.model.given_values import demand_given
 from greybox.model.identified import IdentifiedModel
@@ -100,18 +100,6 @@ def with_noise_of(model: Dynamics, options: FitOptions) -> Dynamics:
     `UnknownNameError` for one that there is not."""
     noisy = with_parts(model, map(part_named, options.noise_parts))
     return with_disturbance(noisy, options.disturbance)
-
-
-def solved(
-    problem: Problem, solver: Solver, start: FloatArray, progress: Progress | None = None
-) -> tuple[FloatArray, Status]:
-    """What a solver finds from `start` (n,), or found when the same work was stopped later on
-    (`greybox.journal`). Raises `Interrupted`."""
-    asked = [solver.name, [(u.name, u.flight) for u in problem.unknowns], start]
-    ((theta, status),) = answers(
-        [asked], lambda _: [(0, solver.solve(problem, start, progress))], (Status, Code)
-    )
-    return theta, status
 
 
 def _rough(solver: Solver) -> bool:
