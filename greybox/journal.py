@@ -137,7 +137,8 @@ class Journal:
     def end(self) -> None:
         """The work is done: nothing is left to go on with."""
         if self._began:
-            self._path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self._path.unlink()
 
 
 _CURRENT: contextvars.ContextVar[Journal | None] = contextvars.ContextVar("journal", default=None)
