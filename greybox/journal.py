@@ -118,8 +118,12 @@ class Journal:
         return answer, row["sum"]
 
     def _noted(self, key: str, answer: object, seconds: float) -> str:
-        """Keep an answer, as long as there is room; its checksum."""
-        content = plain(answer)
+        """Keep an answer, as long as there is room; its checksum, "" of one that cannot be kept (of
+        a solver of the user's own)."""
+        try:
+            content = plain(answer)
+        except TypeError:
+            return ""
         told = _sha([key, content])
         row = {"key": key, "sum": told, "seconds": round(seconds, 3), "answer": content}
         try:
@@ -162,8 +166,7 @@ def answers(questions: Sequence[object], work: Work[T], kinds: Kinds) -> list[T]
     """The answer to every question, in order: those that the journal of the work around it has, from
     there, the others by `work`, each kept as soon as it is found. Questions are plain values or
     dataclasses of them, answers too, made of `kinds` and arrays of float64."""
-    journal = _CURRENT.get()
-    if journal is not None:
+    if (journal := _CURRENT.get()) is not None:
         return journal.answers(questions, work, kinds)
     found = dict(work(range(len(questions))))
     return [found[k] for k in range(len(questions))]

@@ -3,6 +3,7 @@ of other input is asked anew, and the answers are the same."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import tempfile
@@ -141,6 +142,22 @@ def test_a_full_disk_stops_no_work(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert Asked().story(tmp_path / "j") == TOLD
     monkeypatch.setattr(journal, "write_atomic", full)
     assert Asked().story(tmp_path / "k") == TOLD
+
+
+def test_what_cannot_be_kept_is_asked_again(tmp_path: Path) -> None:
+    asked = list[int]()
+
+    def work(places: Sequence[int]) -> Iterator[tuple[int, object]]:
+        for k in places:
+            asked.append(k)
+            yield k, (object if k else 1.0)
+
+    for _ in range(2):
+        with contextlib.suppress(KeyboardInterrupt), journal.kept_in(tmp_path / "j", GIVEN):
+            assert journal.answers(["a", "b"], work, ()) == [1.0, object]
+            assert journal.answers(["c"], work, ()) == [1.0]
+            raise KeyboardInterrupt
+    assert asked == [0, 1, 0, 1]
 
 
 def test_without_a_journal_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,9 @@ def solved(
 ) -> tuple[FloatArray, Status]:
     """What `solver` finds from `start` (n,): the unknowns (n,) and how it ended. Raises
     `Interrupted`."""
-    asked = [solver.name, [(u.name, u.flight) for u in problem.unknowns], start]
     ((theta, status),) = answers(
-        [asked], lambda _: [(0, solver.solve(problem, start, progress))], (Status, Code)
+        [[type(solver).__name__, start.tolist()]],
+        lambda _: [(0, solver.solve(problem, start, progress))],
+        (Status, Code),
     )
     return theta, status
