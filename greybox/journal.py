@@ -1,5 +1,5 @@
-"""Journal: what long work has found so far, an answer a line, so that the same work goes on where it
-was stopped.
+"""Journal: what long work has found so far, an answer a line, so that the same work goes on where
+it was stopped.
 
 Work that is a function of what it was given asks the same questions in the same order. An answer
 stands under the checksum of what was given, of all answers before, and of its question: where
@@ -49,9 +49,9 @@ Work = Callable[[Sequence[int]], Iterable[tuple[int, T]]]
 
 
 class Journal:
-    """The journal at `path` of work that was `given` all this (name -> checksum or text). `going_on`
-    is what to say of what was there: "" for nothing. `spared` are the seconds that answers had
-    taken that were there already."""
+    """The journal at `path` of work that was `given` all this (name -> checksum or text).
+    `going_on` is what to say of what was there: "" for nothing. `spared` are the seconds that
+    answers had taken that were there already, `kept` is how many there are."""
 
     def __init__(self, path: Path, given: Mapping[str, str]) -> None:
         self._path, self._given = path, dict(given)
@@ -150,8 +150,8 @@ _CURRENT: contextvars.ContextVar[Journal | None] = contextvars.ContextVar("journ
 
 @contextlib.contextmanager
 def kept_in(path: Path, given: Mapping[str, str]) -> Iterator[Journal]:
-    """Answers within are kept in the journal at `path`, and taken from there; it goes where the work
-    ends well. `given`: all that the work depends on, name -> checksum or text. Threads and
+    """Answers within are kept in the journal at `path`, and taken from there; it goes where the
+    work ends well. `given`: all that the work depends on, name -> checksum or text. Threads and
     processes started within keep nothing."""
     journal = Journal(path, given)
     token = _CURRENT.set(journal)
@@ -163,9 +163,9 @@ def kept_in(path: Path, given: Mapping[str, str]) -> Iterator[Journal]:
 
 
 def answers(questions: Sequence[object], work: Work[T], kinds: Kinds) -> list[T]:
-    """The answer to every question, in order: those that the journal of the work around it has, from
-    there, the others by `work`, each kept as soon as it is found. Questions are plain values or
-    dataclasses of them, answers too, made of `kinds` and arrays of float64."""
+    """The answer to every question, in order: those that the journal of the work around it has,
+    from there, the others by `work`, each kept as soon as it is found. Questions are plain values
+    or dataclasses of them, answers too, made of `kinds` and arrays of float64."""
     if (journal := _CURRENT.get()) is not None:
         return journal.answers(questions, work, kinds)
     found = dict(work(range(len(questions))))

@@ -45,8 +45,9 @@ def going_on(
 
 
 def given(arguments: argparse.Namespace) -> dict[str, str]:
-    """What the result of a command depends on, name -> text or checksum: its options, the files that
-    they name (wherever these lie), the code of greybox and of others' programs, the libraries."""
+    """What the result of a command depends on, name -> text or checksum: its options, the files
+    that they name (wherever these lie), the code of greybox and of others' programs, the
+    libraries."""
     from greybox.model.identified import library_versions
 
     out = {"code of greybox": _greybox(), "own code": _own_code()}
@@ -64,8 +65,8 @@ def given(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _content(word: str) -> str:
-    """Checksum of the file or folder that a word names, or FILE:NAME; "" where it names none. A pipe
-    is another one every time."""
+    """Checksum of the file or folder that a word names, or FILE:NAME; "" where it names none. A
+    pipe is another one every time."""
     from greybox.files import content_sha256
 
     named = word if word and Path(word).exists() else word.rpartition(":")[0]

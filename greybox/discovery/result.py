@@ -49,9 +49,9 @@ SAYS = {
 class Discovery(Shown):
     """What was found. `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
     final structure, `left` what its unnamed force and torque hold. `bar` is the log e-value that a
-    name needs, `denied` which stated numbers the flights deny, `so_far` what a stopped search knows.
-    `lawful` is the model with laws (the one to go on with; None without), `proposals()` the laws as
-    files by name."""
+    name needs, `denied` which stated numbers the flights deny, `so_far` what a stopped search
+    knows. `lawful` is the model with laws (the one to go on with; None without), `proposals()` the
+    laws as files by name."""
 
     verdict: str
     names: tuple[Name, ...] = ()
