@@ -84,9 +84,13 @@ def _left(arguments: argparse.Namespace) -> str:
     """What an interrupt leaves: what the command keeps, where its folder holds a file of it."""
     from pathlib import Path
 
+    from greybox.journal import FILE
+
     out = arguments.out
     if arguments.kept and (out is None or any(p.is_file() for p in Path(out).rglob("*"))):
         return str(arguments.kept)
+    if out is not None and (Path(out) / FILE).is_file():
+        return "nothing was written; the same command goes on where it was stopped before"
     return "nothing was written; the same command starts again"
 
 

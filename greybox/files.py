@@ -417,14 +417,27 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
     return digest.hexdigest()
 
 
-def append_json_line(path: Path, row: Mapping[str, object]) -> None:
-    """Add a row to a file of JSON lines, in one write that is on the disk when this returns. A line
-    that was cut off before it stays alone."""
-    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
-    with path.open("a", encoding="utf-8") as stream:
-        stream.write(("" if whole else "\n") + json.dumps(row) + "\n")
+def content_sha256(path: str | os.PathLike[str]) -> str:
+    """Checksum of a file, or of all files of a folder (ROS bags are folders)."""
+    place = Path(path)
+    if not place.is_dir():
+        return file_sha256(place)
+    files = sorted(p for p in place.rglob("*") if p.is_file())
+    return checksum([[p.relative_to(place).as_posix(), file_sha256(p)] for p in files])
+
+
+def append_json_line(path: Path, row: Mapping[str, object], *, synced: bool = True) -> None:
+    """Add a row to a file of JSON lines, in one write that is on the disk when this returns (not
+    `synced`: that outlives the process, not the machine). A line that was cut off before it stays
+    alone."""
+    with path.open("ab+") as stream:
+        size = stream.seek(0, os.SEEK_END)
+        stream.seek(max(0, size - 1))
+        whole = stream.read(1) in (b"", b"\n")
+        stream.write((("" if whole else "\n") + json.dumps(row) + "\n").encode())
         stream.flush()
-        os.fsync(stream.fileno())
+        if synced:
+            os.fsync(stream.fileno())
 
 
 def read_json_lines(text: str) -> list[Any]:

@@ -10,7 +10,7 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import resource_tracker
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
@@ -86,19 +86,18 @@ def side_by_side(
     executor: concurrent.futures.Executor,
     call: Callable[..., T],
     common: Sequence[object],
-    tasks: Sequence[object],
-) -> list[T] | None:
-    """call(*common, task) of every task; None where these cannot be sent to other processes, or one
-    of these was killed."""
+    tasks: Mapping[int, object],
+) -> Iterator[tuple[int, T]]:
+    """(place, call(*common, task)) of the tasks by their places, as they end: of none where these
+    cannot be sent to other processes, of those that had ended where one of these was killed."""
     try:
         pickle.dumps((common, tasks))
     except (pickle.PicklingError, AttributeError, TypeError):
-        return None
-    try:
-        sent = [executor.submit(call, *common, task) for task in tasks]
-        return [f.result() for f in sent]
-    except concurrent.futures.BrokenExecutor:
-        return None
+        return
+    with contextlib.suppress(concurrent.futures.BrokenExecutor):
+        sent = {executor.submit(call, *common, task): place for place, task in tasks.items()}
+        for done in concurrent.futures.as_completed(sent):
+            yield sent[done], done.result()
 
 
 def _follow(share: int) -> None:

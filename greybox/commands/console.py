@@ -21,6 +21,13 @@ def json_option(p: Options, content: str) -> None:
     )
 
 
+def _worked() -> float:
+    """[s] on a clock that goes on where an earlier run of the same work was stopped."""
+    from greybox.journal import spared
+
+    return time.monotonic() + spared()
+
+
 class Console:
     """The terminal of a command. Where its JSON goes to standard output (`json`: "-", a path or
     None), nothing else does, and no progress is said; warnings still are, on standard error."""
@@ -31,7 +38,7 @@ class Console:
         self.json = json
         self.quiet = json == "-"
         self._began = time.perf_counter()
-        self._left = TimeLeft()
+        self._left = TimeLeft(_worked)
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> Console:

@@ -23,6 +23,7 @@ from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.discover_folder import SearchFolder
 from greybox.commands.flight_logs import flight_log_options
+from greybox.commands.going_on import going_on
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
@@ -46,7 +47,7 @@ def add(subparsers: Subcommands) -> None:
         "report.html and, where what is left follows a law, proposal_<n>.py and "
         "model_with_laws.json. Exit code 0: done, 1: not searched, as a fault of a log or of the "
         "vehicle file blocks, 2: bad input, 130: interrupted (the files hold what was found until "
-        "then).",
+        "then, and the same command goes on).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
     model_file_option(p, read=False)
@@ -273,20 +274,20 @@ def run(arguments: argparse.Namespace) -> int:
         if not isinstance(subject, StateSpaceModel):
             say_vehicle(subject, console.say)
         asked = _choices(arguments, own, since)
-        try:
-            found = _searched(subject, train, test, asked, search, console, arguments.executor)
-        except KeyboardInterrupt:
-            if search.written is not None:
-                search.page()
+        with going_on(arguments, console):
+            try:
+                found = _searched(subject, train, test, asked, search, console, arguments.executor)
+            except KeyboardInterrupt:
                 arguments.kept = search.kept()
-            raise
+                raise
+            search.write(found)
     elif isinstance(subject, StateSpaceModel):
         raise GreyboxError("faults are looked for in the flights of a vehicle only")
     else:
         found = refused(
             faults, subject, settings={"alpha": arguments.alpha, "seed": arguments.seed}
         )
-    search.write(found)
+        search.write(found)
     search.page()
     if found.fit is not None:
         write_if_asked(arguments.mcap, found.model, train, test)

@@ -70,8 +70,11 @@ class SearchFolder:
         write_atomic(self._out / "report.html", page)
 
     def kept(self) -> str:
-        """What an interrupted search leaves."""
-        return f"what was found until then, not judged, is in {self._out}; the same command starts anew"
+        """What an interrupted search leaves, with its page; "" for nothing."""
+        if self.written is None:
+            return ""
+        self.page()
+        return f"what was found until then, not judged, is in {self._out}"
 
     def lines(self, found: Discovery) -> list[str]:
         """The result for people, and what was written."""

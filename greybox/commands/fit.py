@@ -21,6 +21,7 @@ from greybox.commands.console import Console, json_option
 from greybox.commands.fit_flights import Job, begun
 from greybox.commands.fit_said import lines, recipe_of, report, save, with_pushes
 from greybox.commands.flight_logs import flight_log_options
+from greybox.commands.going_on import going_on
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
@@ -50,7 +51,7 @@ def add(subparsers: Subcommands) -> None:
         "Writes fit.json, model.json "
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not "
         "usable, or a fault of all flights or of the vehicle file blocks, 2: bad input, 130: "
-        "interrupted.",
+        "interrupted (the same command goes on).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p, read=False)
@@ -120,7 +121,7 @@ def run(arguments: argparse.Namespace) -> int:
         return refuse_faults(bad.report, console, "a fit")
     say_vehicle(job.vehicle, console.say)
     console.say(f"{job.prepared.data}")
-    with what_is_there_stays():
+    with what_is_there_stays(), going_on(arguments, console):
         result = _fitted(job, console)
         result, content, seen, pushed = _judged(job, result)
     with nothing_collected():
@@ -157,7 +158,7 @@ def _fitted(job: Job, console: Console) -> Fit:
         raise
     withdraw(job.out, *RESULTS)
     save(job, result.judged(UNFINISHED))
-    arguments.kept = f"the fit is in {job.out}, unfinished: the same command starts again"
+    arguments.kept = f"the fit is in {job.out}, unfinished"
     return calibrated(with_lasting(with_rivals(result, data), data), data)
 
 

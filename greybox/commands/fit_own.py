@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         _save(stop.kept, [], out)
-        arguments.kept = interrupted(out)
+        arguments.kept = f"{interrupted(out)}; the same command starts again"
         raise
     warnings = (
         [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
@@ -90,7 +90,7 @@ def interrupted(out: Path) -> str:
     """What an interrupted fit has left in `out`, in words."""
     return (
         f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}, marked as not "
-        "converged; the same command starts again"
+        "converged"
     )
 
 

@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, cast
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
+from greybox.commands.going_on import going_on
 from greybox.commands.model_options import names
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
 if TYPE_CHECKING:
+    from greybox.data import Dataset
     from greybox.estimation.options import FitChoices
     from greybox.estimation.profile import Profile
     from greybox.estimation.result import Fit
+    from greybox.model.identified import IdentifiedModel
     from greybox.report.profile_report import ProfileDocument, ProfileRow
 
 KEPT = ("predictor", "criterion", "solver", "per_flight", "fixed", "estimate_noise")
@@ -89,12 +92,12 @@ def run(arguments: argparse.Namespace) -> int:
             "--level", expected="a probability", got=f"{arguments.level:g}", fix="--level 0.95"
         )
     console = Console.of(arguments)
-    found = _fitted(arguments)
-    profiles = []
-    for k, name in enumerate(arguments.of):
-        console.share(f"{name} ({k + 1} of {len(arguments.of)})", k / len(arguments.of))
-        profiles.append(profile(found, name, level=arguments.level))
-    out = Path(arguments.out)
+    out, (model, train, beside) = Path(arguments.out), _read(arguments)
+    with going_on(arguments, console, [beside]):
+        found, profiles = _fitted(model, train, beside), []
+        for k, name in enumerate(arguments.of):
+            console.share(f"{name} ({k + 1} of {len(arguments.of)})", k / len(arguments.of))
+            profiles.append(profile(found, name, level=arguments.level))
     content: ProfileDocument = {
         "schema": "greybox.profile/1",
         "command": typed("profile"),
@@ -112,13 +115,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if all(math.isfinite(p.lower) and math.isfinite(p.upper) for p in profiles) else 1
 
 
-def _fitted(arguments: argparse.Namespace) -> Fit:
-    """The fit behind a model file: again from its values, with the choices that its fit.json
-    names."""
-    from greybox.errors import DataError, FitError
-    from greybox.estimation.fit import fit, noise_of
-    from greybox.estimation.options import FitOptions
-    from greybox.files import read_json
+def _read(arguments: argparse.Namespace) -> tuple[IdentifiedModel, Dataset, Path]:
+    """The model, the flights that it was fitted to, and the fit.json beside it."""
+    from greybox.errors import DataError
 
     model = loaded(arguments)
     beside = Path(arguments.model).with_name("fit.json")
@@ -128,7 +127,6 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
             where=arguments.model,
             fix="keep both files of the fit together",
         )
-    settings = read_json(beside, schema="greybox.fit/1")["settings"]
     train = read_flights_of(arguments, model.dynamics, arguments.train, rate=1 / model.sample_time)
     if strangers := sorted(set(train.names) ^ set(model.trained_on)):
         raise DataError(
@@ -136,6 +134,18 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
             expected=", ".join(model.trained_on),
             fix="give the flights that it was fitted to",
         )
+    return model, train, beside
+
+
+def _fitted(model: IdentifiedModel, train: Dataset, beside: Path) -> Fit:
+    """The fit behind a model file: again from its values, with the choices that its fit.json
+    (`beside`) names."""
+    from greybox.errors import FitError
+    from greybox.estimation.fit import fit, noise_of
+    from greybox.estimation.options import FitOptions
+    from greybox.files import read_json
+
+    settings = read_json(beside, schema="greybox.fit/1")["settings"]
     choices = cast("FitChoices", {k: settings[k] for k in KEPT if k in settings})
     choices |= {"values": dict(model.values), "noise": noise_of(model), "initialisation": "nominal"}
     found = fit(model.dynamics, train, FitOptions.of(None, choices))

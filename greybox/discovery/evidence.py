@@ -10,7 +10,7 @@ from __future__ import annotations
 import concurrent.futures
 import functools
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,7 +29,8 @@ from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.start import Key, Start, vector
 from greybox.estimation.status import Code, Status
-from greybox.estimation.unknown import SearchSpace
+from greybox.estimation.unknown import SearchSpace, Unknown
+from greybox.journal import answers
 from greybox.model.dynamics import Dynamics
 from greybox.statistics.regret import information_on
 from greybox.symbolic import BoolArray, FloatArray
@@ -40,6 +41,8 @@ ARRIVED = (Code.CONVERGED, Code.NO_PROGRESS)
 """At the optimum, or at a kink (a delay of whole samples) where no step lowers the cost."""
 Solution = tuple[SearchSpace, FloatArray, Status, Value]
 """What is sought, the unknowns (n,), how the solver ended, and the value there."""
+KINDS = (SearchSpace, Unknown, Status, Code, Value)
+"""What a solution is made of."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,14 +207,21 @@ class Flights:
         """Tasks, side by side where there is an executor; what cannot be sent runs here. Who solves
         them sets them up: most problems are never asked for here."""
         common = self.causes, self.data, self.options
-        pool = self.executor if len(tasks) > 1 else None
-        answers = None if pool is None else side_by_side(pool, solved, common, tasks)
         new = [functools.partial(problem_of, *common, t.structure) for t in tasks]
         known = [self._known.get(t.structure) for t in tasks]
         set_up = [functools.cache(n) if k is None else k.set_up for n, k in zip(new, known)]
-        if answers is None:
-            answers = [solution(make(), t) for make, t in zip(set_up, tasks, strict=True)]
-        for task, make, (space, theta, status, value) in zip(tasks, set_up, answers, strict=True):
+
+        def work(asked: Sequence[int]) -> Iterator[tuple[int, Solution]]:
+            done = set[int]()
+            if self.executor is not None and len(asked) > 1:
+                sent = {k: tasks[k] for k in asked}
+                for place, answer in side_by_side(self.executor, solved, common, sent):
+                    done.add(place)
+                    yield place, answer
+            yield from ((k, solution(set_up[k](), tasks[k])) for k in asked if k not in done)
+
+        found = answers(tasks, work, KINDS)
+        for task, make, (space, theta, status, value) in zip(tasks, set_up, found, strict=True):
             evidence = -np.inf
             loose = min(status.decrement, task.tolerance) > self.effort.rough
             if loose and status.code in ARRIVED:  # all that was asked
@@ -292,4 +302,5 @@ def solution(problem: Problem, task: Task) -> Solution:
             tolerance=task.tolerance, max_iterations=task.iterations, target=task.target
         )
         theta, status = solver.solve(problem, start)
-        return SearchSpace(unknowns=problem.unknowns), theta, status, problem.evaluate(theta)
+        value = replace(problem.evaluate(theta), data_hessian=None, scores=None)
+        return SearchSpace(unknowns=problem.unknowns), theta, status, value

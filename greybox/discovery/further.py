@@ -73,13 +73,20 @@ def further(
 
 
 def _demand_new(content: DiscoveryDocument, data: Dataset) -> None:
-    """Raise `DataError` where flights took part already, or nothing has a name."""
+    """Raise `DataError` where the search has not ended, flights took part already, or nothing has a
+    name."""
     taken = {*content["trained_on"], *content["tested_on"]}
     if twice := sorted(taken & set(data.names)):
         raise DataError(
             f"{', '.join(twice)} took part in the search already",
             expected="flights that did not",
             fix="give new flights (a flight is known by its name)",
+        )
+    if content["verdict"] == "stopped":
+        raise DataError(
+            "the search was stopped before its end",
+            expected="names that it certified",
+            fix=f"go on with it first: {content.get('command', 'greybox discover')}",
         )
     if not content["effects"]:
         raise DataError("no name to go on with", fix="greybox discover with all flights")

@@ -49,8 +49,9 @@ SAYS = {
 class Discovery(Shown):
     """What was found. `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
     final structure, `left` what its unnamed force and torque hold. `bar` is the log e-value that a
-    name needs, `denied` which stated numbers the flights deny. `lawful` is the model with laws (the
-    one to go on with; None without), `proposals()` the laws as files by name."""
+    name needs, `denied` which stated numbers the flights deny, `so_far` what a stopped search
+    knows. `lawful` is the model with laws (the one to go on with; None without), `proposals()` the
+    laws as files by name."""
 
     verdict: str
     names: tuple[Name, ...] = ()
@@ -75,6 +76,7 @@ class Discovery(Shown):
     base: tuple[str, ...] = ()
     lawful: IdentifiedModel | None = None
     denied: tuple[str, ...] = ()
+    so_far: str = ""
 
     @property
     def model(self) -> IdentifiedModel:
@@ -244,7 +246,8 @@ class Discovery(Shown):
     def line(self) -> str:
         """What a pilot wants to know, in one line."""
         if self.verdict in ("bad_data", "stopped"):
-            return f"{self.verdict.replace('_', ' ').upper()}: {SAYS[self.verdict]}"
+            more = f"; {self.so_far}" if self.so_far else ""
+            return f"{self.verdict.replace('_', ' ').upper()}: {SAYS[self.verdict]}{more}"
         found = [e["name"] for e in self.effects()]
         if len(found) == 1:  # numbers of several stand below
             found = [_in_words(e["name"], e["parameters"]) for e in self.effects()]

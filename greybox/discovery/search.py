@@ -44,7 +44,7 @@ class Rival:
 
 @dataclass(kw_only=True, eq=False)
 class Search:
-    """The search on one set of `flights`. `interim` gets the structure after every step."""
+    """The search on one set of `flights`. `interim` gets every structure that is taken."""
 
     flights: Flights
     most: int
@@ -92,7 +92,6 @@ class Search:
             if better is None:
                 return at
             at = better
-            self.interim(at)
         return at
 
     def every(self, at: Fitted) -> Fitted | None:
@@ -296,7 +295,11 @@ class Search:
                 "added": [n for names, f in tried if f is best and gained > 0 for n in names],
             }
             self.steps.append(step)
-        return self.flights.fit(best.structure) if best is not None and gained > 0 else None
+        if best is None or gained <= 0:
+            return None
+        taken = self.flights.fit(best.structure)
+        self.interim(taken)
+        return taken
 
 
 def _change(at: Fitted, structure: Structure) -> tuple[Structure, Structure]:

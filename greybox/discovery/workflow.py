@@ -44,6 +44,7 @@ from greybox.estimation.fit import Fit
 from greybox.estimation.noise_table import sensor_table
 from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
+from greybox.journal import spared
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.faults import faults_of
 from greybox.model.identified import IdentifiedModel
@@ -51,6 +52,7 @@ from greybox.model.known import known_numbers, since
 from greybox.model.layer import physics_of
 from greybox.model.noise_free import REASON, said_of_added, with_sensor_noise
 from greybox.model.vehicle import Vehicle
+from greybox.model.verdict import UNFINISHED
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
@@ -72,6 +74,11 @@ from greybox.validation.worth import worth
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
 Progress = Callable[[str, float], None]
+STOPPED = replace(
+    UNFINISHED,
+    line="UNFINISHED: the search stopped on the way to this model; discovery.json says how",
+)
+"""Of the model of a search that goes on."""
 Judged = tuple[list[Name], Fitted]
 """Names, and the structure of what is said."""
 
@@ -103,8 +110,9 @@ def discover(
 
     `faults`: what `check_logs` said about the files (by default the data are checked, which show no
     faults of their clock; those of the checks in `accept` do not block). `save` gets what is known
-    after every step, with the verdict "stopped". `executor` fits rivals side by side, with the same
-    result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError` (of a choice, too).
+    after every step, with the verdict "stopped" and, in words, what is not known. `executor` fits
+    rivals side by side, with the same result. Raises `DataError`, `ModelError`, `FitError`,
+    `UnknownNameError` (of a choice, too).
     """
     began = time.perf_counter()
     options, doubts = DiscoverOptions.of(options, choices), list[str]()
@@ -253,7 +261,7 @@ class _Run:
             flights=self.flights,
             most=self.options.max_effects,
             say=self.say,
-            interim=lambda at: self.save(self._so_far(self.settled(at))),
+            interim=lambda at: self._keep(search, at, None),
         )
         null = self.flights.fit(causes.base)
         names, at, left = self._answer(search, null)
@@ -298,6 +306,7 @@ class _Run:
         while more is not None:
             at, said, offered = more, self.warnings.copy(), self.flights.causes
             names, named = self._named(at, search.contest(at))
+            self._keep(search, at, names)
             named = self.flights.arrived(named)
             self.say("what is left", 0.8)
             left, with_laws = self._left(null, named), self.flights.causes
@@ -322,6 +331,18 @@ class _Run:
             left = left_over(self.flights, named, self.settled(named), self.bar, seed=0)
         return names, named, left
 
+    def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
+        """Save what is known, and what is not: the search stands `at` a structure; `names` are what
+        was said of its causes."""
+        added = ", ".join(search.added(at)) or "nothing"
+        known, rest = f"taken up so far, not certified: {added}", "further steps, certificates, "
+        if names is not None:
+            said = (f"{n.name} {n.status}" for n in names)
+            known, rest = f"so far, what laws may still change: {', '.join(said) or 'no name'}", ""
+        so_far = f"{known}; not done: {rest}what is left, the gap"
+        found = self._so_far(self.settled(at).judged(STOPPED))
+        self.save(replace(found, so_far=so_far, steps=tuple(search.steps)))
+
     def _so_far(self, found: Fit) -> Discovery:
         return Discovery(
             verdict="stopped",
@@ -330,7 +351,7 @@ class _Run:
             alone=self.bar,
             unjudged=dict(self.flights.causes.unjudged),
             omega_known=self.flights.causes.omega_known,
-            seconds=time.perf_counter() - self.began,
+            seconds=time.perf_counter() - self.began + spared(),
             settings=self.settings,
             warnings=("the search was stopped before its end",),
         )

@@ -23,6 +23,7 @@ from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.result import Estimate, Fit
+from greybox.estimation.solved import solved
 from greybox.estimation.solver import Progress, Solver
 from greybox.estimation.solvers.levenberg_marquardt import GOOD, POOR, LevenbergMarquardt
 from greybox.estimation.status import Code, Interrupted, Status
@@ -83,7 +84,7 @@ def fit(
         # Multiple shooting closes its gaps first.
         start = predictor.approach(problem, start, progress)
         try:
-            theta, status = solver.solve(problem, problem.inside(start), progress)
+            theta, status = solved(problem, solver, problem.inside(start), progress)
             if status.converged and (predictor.one_step is predictor or not _rough(solver)):
                 theta, status = _lowest(problem, solver, theta, status, progress)
         except Interrupted as stop:
@@ -121,7 +122,7 @@ def _lowest(
         start = elsewhere(problem, theta, GOOD if _rough(solver) else POOR)
         if start is None:
             return theta, status
-        other, how = solver.solve(problem, start, progress)
+        other, how = solved(problem, solver, start, progress)
         better = problem.evaluate(other, 0).cost < problem.evaluate(theta, 0).cost
     except KeyboardInterrupt:
         raise Interrupted((theta, replace(status, code=Code.INTERRUPTED))) from None

@@ -19,6 +19,7 @@ import scipy.interpolate
 
 from greybox.errors import UnknownNameError
 from greybox.estimation.problem import Problem, Unknown, Value
+from greybox.estimation.solved import solved
 from greybox.estimation.solver import Solver
 from greybox.plots import Curve, panels
 from greybox.shown import Cell, Shown
@@ -219,7 +220,7 @@ class _Walk:
 
     def _solve(self, value: float, near: FloatArray) -> FloatArray:
         part = Slice(problem=self.problem, place=self.place, value=value)
-        estimate, status = self.solver.solve(part, near)
+        estimate, status = solved(part, self.solver, near)
         self.found[value] = (part.evaluate(estimate, 0).cost, bool(status.converged))
         return np.asarray(estimate)
 

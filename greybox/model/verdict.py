@@ -255,7 +255,7 @@ UNFINISHED = Verdict(
     line="UNFINISHED: the command that fitted this model ended before the model was judged",
     why=(
         "its errors are not whole, its predictions not calibrated",
-        "next: the same command starts again",
+        "next: the same command goes on",
     ),
     useful_seconds=0.0,
     judged_seconds=0.0,

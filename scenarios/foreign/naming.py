@@ -83,7 +83,11 @@ def run(folder: Path, command: str, limit: float) -> dict[str, Any]:
     test = sorted(p.name for p in folder.glob("test*.csv"))
     line = [*shlex.split(command), "--vehicle", "vehicle.toml", "--train", *train]
     line += ["--test", *test, "--out", "found"]
-    (folder / "found" / "discovery.json").unlink(missing_ok=True)
+    for old in (
+        "discovery.json",
+        "unfinished.jsonl",
+    ):  # what an earlier run was killed in counts for nothing
+        (folder / "found" / old).unlink(missing_ok=True)
     began = time.monotonic()
     with (folder / "said.txt").open("w", encoding="utf-8") as stream:
         process = subprocess.Popen(line, cwd=folder, stdout=stream, stderr=subprocess.STDOUT)

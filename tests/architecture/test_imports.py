@@ -26,6 +26,7 @@ BASE = (
     "workers",
     "cluster",
     "interrupts",
+    "journal",
     "progress",
     "shown",
     "plots",

@@ -57,7 +57,8 @@ def test_files_of_a_fit_that_was_not_finished_say_so_and_are_refused(
         patch.setattr(step, fails)
         if error is KeyboardInterrupt:
             assert main(given) == 130
-            assert "unfinished: the same command starts again" in capsys.readouterr().err
+            said = capsys.readouterr().err
+            assert "unfinished, 1 fit kept; the same command goes on: greybox fit" in said
         else:
             with pytest.raises(error):
                 main(given)

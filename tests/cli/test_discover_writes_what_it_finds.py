@@ -229,6 +229,9 @@ def test_an_interruption_keeps_what_was_found(
     )
     with results_of_one_run(tmp_path, "discovery.json", "model.json", "report.html"):
         assert main(arguments) == 130
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"what was found until then, not judged, is in {tmp_path}" in said
+    assert "fits kept; the same command goes on: greybox discover" in said
     content = valid(tmp_path / "discovery.json")
     assert content["verdict"] == "stopped"
     assert content["effects"] == []  # nothing is judged yet
@@ -238,7 +241,10 @@ def test_an_interruption_keeps_what_was_found(
     )
     assert np.isfinite(model.values["friction.d_p"])
     assert "stopped before its end" in (tmp_path / "report.html").read_text()
-    assert "interrupted" in capsys.readouterr().err
+    assert main([*arguments, "--alpha", "0.01"]) == 130
+    assert "other input (--alpha): all starts anew" in capsys.readouterr().err
+    assert main([*arguments, "--alpha", "0.01"]) == 130
+    assert "going on where it was stopped" in capsys.readouterr().err
 
 
 def test_bad_data_are_an_answer_and_not_an_error(

@@ -14,8 +14,12 @@ import pytest
 
 import greybox as gb
 from greybox.cli import main
+from greybox.commands import front_door
+from greybox.commands.front_door import profile
 from greybox.commands.ulog_out import write_ulog
 from greybox.data import Segment
+from greybox.estimation.profile import Profile
+from greybox.estimation.result import Fit
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import Parameter, ParameterValues
@@ -181,6 +185,28 @@ def test_profiles_give_intervals_with_the_truth_inside(
         main([*model[:2], "--train", f"{bench}/b.csv", "--of", "leak", "--out", f"{bench}/p"]) == 2
     )
     assert "not the flights of the fit" in capsys.readouterr().err
+
+
+def test_profiles_that_were_stopped_go_on(
+    bench: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["profile", f"{bench}/fit/model.json", "--train", f"{bench}/a.csv", "--of", "leak,gain"]
+    assert main([*words, "--out", f"{bench}/whole"]) == 0
+
+    def stopped(fit: Fit, name: str, **how: float) -> Profile:
+        if name == "gain":
+            raise KeyboardInterrupt
+        return profile(fit, name, **how)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(front_door, "profile", stopped)
+        assert main([*words, "--out", f"{bench}/q"]) == 130
+    assert "fits kept; the same command goes on: greybox profile" in capsys.readouterr().err
+    assert main([*words, "--out", f"{bench}/q"]) == 0
+    assert "going on where it was stopped" in capsys.readouterr().err
+    whole, again = (json.loads((bench / n / "profile.json").read_text()) for n in ("whole", "q"))
+    assert again["profiles"] == whole["profiles"]
+    assert {p.name for p in (bench / "q").iterdir()} == {"profile.json", "report.html"}
 
 
 def test_planned_inputs_keep_ranges_and_limits(bench: Path) -> None:

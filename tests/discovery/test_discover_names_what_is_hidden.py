@@ -89,7 +89,17 @@ def test_every_step_is_saved_as_stopped(damped: tuple[Discovery, list[Discovery]
     for s in saved:
         assert valid(s)["verdict"] == "stopped"
         assert s.effects() == []
+        assert s.model_verdict is not None and s.model_verdict.refused
     assert "rotational_damping" in saved[-1].model.effects
+    assert [len(s.steps) for s in saved] == [0, 1, 2]
+    assert [s.line.partition("; ")[2] for s in saved] == [
+        f"taken up so far, not certified: {name}; not done: further steps, certificates, what is "
+        "left, the gap"
+        for name in ("nothing", "rotational_damping")
+    ] + [
+        "so far, what laws may still change: rotational_damping certified; not done: what is left, "
+        "the gap"
+    ]
     assert found.verdict == "named"
 
 
@@ -161,6 +171,15 @@ def test_further_flights_multiply_the_evidence_either_way(
 
 
 @pytest.mark.slow
+def test_a_search_that_has_not_ended_has_no_names_to_go_on_with(
+    damped: tuple[Discovery, list[Discovery]],
+):
+    found = damped[1][-1]
+    more = small_world.flown(DAMPING, seeds=(21,), name="more")
+    with pytest.raises(DataError, match=r"stopped before its end.*go on with it first"):
+        further(valid(found), found.model, more)
+
+
 def test_further_flights_of_coloured_sensors_multiply_the_evidence_too(short: None):
     rng = np.random.default_rng(3)
 

@@ -25,7 +25,7 @@ from greybox.commands.chain.request import Request, Skip, SoFar, Stage, Work
 from greybox.commands.chain.stages import NAMES, STAGES
 from greybox.distribution import VERSION
 from greybox.errors import GreyboxError, UnknownNameError
-from greybox.files import checksum, file_sha256, read_json, write_atomic
+from greybox.files import checksum, content_sha256, file_sha256, read_json, write_atomic
 from greybox.model.verdict import NOT_JUDGED
 from greybox.progress import in_words
 from greybox.report.identify_report import identify_report
@@ -101,7 +101,7 @@ class _Chain:
         self.kept = read_record(out)
         self.done: dict[str, StageRecord] = {}
         self.folders = {s.name: out / f"{k}_{s.name}" for k, s in enumerate(self.stages, start=1)}
-        self.inputs = [_content(path) for path in self.request.inputs]
+        self.inputs = [content_sha256(path) for path in self.request.inputs]
         for number, stage in enumerate(self.stages, start=1):
             try:
                 record = self._stage(number, stage)
@@ -272,15 +272,6 @@ def _links(folder: Path) -> list[tuple[str, str]]:
     """(what, path from the page) of what a stage has for a person."""
     files = (("its report", "report.html"), ("all that it said", OUTPUT))
     return [(what, f"{folder.name}/{name}") for what, name in files if (folder / name).exists()]
-
-
-def _content(path: str) -> str:
-    """Checksum of a file, or of all files of a folder (ROS bags are folders)."""
-    place = Path(path)
-    if not place.is_dir():
-        return file_sha256(place)
-    files = sorted(p for p in place.rglob("*") if p.is_file())
-    return checksum([[p.relative_to(place).as_posix(), file_sha256(p)] for p in files])
 
 
 def _cpu() -> float:
