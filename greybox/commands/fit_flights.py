@@ -100,6 +100,7 @@ def _flights(
         all_flights=arguments.all_flights or arguments.manual,
         decide_rate=not arguments.manual,
         accept=accepted(arguments.accept),
+        beside=others,
     )
     files = [
         check(some, vehicle, accept=prepared.report.accepted) for some in (logs, others) if some
