@@ -13,7 +13,6 @@ from dataclasses import replace
 from greybox.data.checks.finding import Finding, Unjudged
 from greybox.data.checks.motors import PARTS
 
-
 MOTORS = "motors"
 """A flight of which this check says anything shows nothing of its right."""
 OF_THE_FILE = ("motion", "attitude", "acceleration", MOTORS, "rotor_speeds", "thrust")

@@ -235,9 +235,7 @@ def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dic
         found = related(relation, view)
         if isinstance(found, str):
             there = view.flight is not None and not isinstance(relation.streams_of(view), str)
-            out.append(
-                Unjudged(check=relation.name, flight=view.name, reason=found, open=there)
-            )
+            out.append(Unjudged(check=relation.name, flight=view.name, reason=found, open=there))
         else:
             holds[view.name] = found
     told = alone_and_together(
