@@ -12,9 +12,13 @@ import numpy as np
 from greybox.data.channel import command_names, rotor_speed_names
 from greybox.data.raw import RawLog
 
-SLOWEST = 30.0
-"""Samples per second [Hz] of commands and of the fastest sensor below which rotors that answer in
-20 to 50 ms are not seen."""
+ROTORS = (0.02, 0.08)
+"""Time [s] in which the fastest and the slowest rotors of small craft answer a command."""
+SLOWEST = 1.0 / ROTORS[1]
+"""Samples per second [Hz] of commands and of the fastest sensor below which every rotor has answered
+within a row: nothing shows how, and the turns in between are not known."""
+ROUND = 0.05
+"""Share by which a rate may miss a round number."""
 DISARMED = 0.02
 """Share of the range that no command ever passes: the motors do not turn."""
 GROUNDED = 0.1
@@ -68,6 +72,21 @@ def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
         yield (
             f"too slow: the fastest sensor comes at {max(sensors):.3g} Hz, a fit needs "
             f"{SLOWEST:g} Hz or more"
+        )
+
+
+def untold(rates: Mapping[str, float]) -> Iterator[str]:
+    """What a log that can be fitted is too slow to tell; nothing of one with rows as quick as the
+    fastest rotors. `rates` [Hz] by channel group."""
+    driven = [rates[g] for g in ("command", "rotor_speed") if g in rates]
+    sensors = [rates[g] for g in MEASURED if g in rates]
+    if not (driven and sensors):
+        return
+    rate = min(max(driven), max(sensors))
+    if SLOWEST <= rate < (1.0 - ROUND) / ROTORS[0]:
+        yield (
+            f"rows come every {1e3 / rate:.0f} ms: rotors that answer within that (they take "
+            f"{1e3 * ROTORS[0]:.0f} to {1e3 * ROTORS[1]:.0f} ms) show lag and delay only together"
         )
 
 
