@@ -113,7 +113,7 @@ def decide(
         note(
             "effects",
             listed(steps[:1]),
-            f"every flight is shorter than {SHORTEST:g} s: "
+            f"every flight is shorter than {SHORTEST:.2g} s: "
             "no piece can be left out to compare larger sets",
             "--effects",
         )

@@ -22,7 +22,7 @@ from greybox.automatic.setting import Given
 from greybox.automatic.trials import QUICK, Say
 from greybox.automatic.two_horizons import with_one_step
 from greybox.data import Dataset
-from greybox.data.checks import CheckReport, check
+from greybox.data.checks import CheckReport, check_beside
 from greybox.data.conditioning import condition
 from greybox.data.impossible import without_impossible
 from greybox.data.raw import RawLog, Removed
@@ -121,10 +121,12 @@ def prepare(
     decide_rate: bool = True,
     keep_noise_free: bool = False,
     accept: Iterable[str] = (),
+    beside: Sequence[RawLog] | Dataset = (),
 ) -> Prepared:
     """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs'
     own where it is not to be decided). Findings of the checks in `accept` leave no flight out. Sensors
-    without noise get some (`greybox.model.noise_free`), if it is not to `keep_noise_free`.
+    without noise get some (`greybox.model.noise_free`), if it is not to `keep_noise_free`. Flights
+    `beside` these (test flights) are checked with them, as they are of one craft.
 
     Raises `DataError` for logs that are no flights, `BadDataError` where no flight is left.
     """
@@ -141,15 +143,14 @@ def prepare(
     else:
         own_rate = rate if not decide_rate else None
         data = read_flights(raws, vehicle, rate=own_rate, trim=trim)
-    report = check(data, vehicle, accept=accept)
+    report = check_beside(data, beside, vehicle, accept=accept)
     kept, left_out = (data, ()) if all_flights else sound_flights(data, vehicle, report)
     wanted = rate if rate is not None or not decide_rate else needed_rate(kept)
     if wanted is not None and (decide_rate or isinstance(logs, Dataset)):
         chosen = [r for r in raws if r.flight in kept.names]
         kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
-        report = check(
-            kept, vehicle, accept=report.accepted
-        )  # offsets in samples are those of this rate
+        # offsets in samples are those of this rate
+        report = check_beside(kept, beside, vehicle, accept=report.accepted)
     kept, added = (kept, ()) if keep_noise_free else with_sensor_noise(kept, vehicle)
     return Prepared(
         data=kept,

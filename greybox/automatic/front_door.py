@@ -124,7 +124,7 @@ def _automatic(
 ) -> Fit:
     FitOptions.of(None, given.choices)  # an unknown keyword is said before any work is done
     demand_sound(faults_of(vehicle, accept=accept), "a fit")
-    prepared = prepare(vehicle, data, accept=accept)
+    prepared = prepare(vehicle, data, accept=accept, beside=() if test is None else test)
     unchecked = prepared.report.unchecked_order
     for line in (*prepared.report.accepted_lines(), *unchecked):
         say(line)

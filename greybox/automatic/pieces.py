@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from greybox.automatic.foretell import LEAST
 from greybox.data import Dataset, Flight
 
 FIRST_PART = 0.65
@@ -13,8 +14,8 @@ ENOUGH_SECONDS = 150.0
 """Flight time from which more only costs time when sets are compared."""
 ENOUGH_EACH = 15.0
 """Seconds of one flight that are enough: rather more flights than longer ones."""
-SHORTEST = 6.0
-"""Flights shorter than this [s] are too short to leave a part out."""
+SHORTEST = LEAST / (1.0 - FIRST_PART)
+"""Flights shorter than this [s] are too short to leave a part out: it would judge without error."""
 
 
 def first_parts(data: Dataset) -> tuple[Dataset, Dataset] | None:

@@ -102,6 +102,7 @@ def _flights(
         decide_rate=not arguments.manual,
         keep_noise_free=arguments.keep_noise_free,
         accept=accepted(arguments.accept),
+        beside=others,
     )
     files = [
         check(some, vehicle, accept=prepared.report.accepted) for some in (logs, others) if some
@@ -148,17 +149,17 @@ def _warnings(
 
 
 def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
-    """What `greybox inspect` says first of training logs that no model can be fitted to, before
-    anything is estimated.
+    """What `greybox inspect` says first of training logs that no model can be fitted to, and of
+    those too slow to tell all of it, before anything is estimated.
 
     Reads the logs once more: what was read for the fit has not the rates of the log's own streams.
     """
     from greybox.data.inspection import inspect_log
 
-    found = [
-        (path, inspect_log(path, vehicle, mapping=arguments.mapping).unfit)
-        for path in arguments.train
-    ]
+    found = [(p, inspect_log(p, vehicle, mapping=arguments.mapping)) for p in arguments.train]
+    slow = [f"{path}: {line}" for path, log in found for line in log.untold]
     return [
-        f"greybox inspect calls {path} not usable: {'; '.join(why)}" for path, why in found if why
-    ]
+        f"greybox inspect calls {path} not usable: {'; '.join(log.unfit)}"
+        for path, log in found
+        if log.unfit
+    ] + slow

@@ -317,7 +317,7 @@ def _usable(content: Findings) -> list[str]:
     """What greybox takes of them, and what it can fit."""
     lines = ["", f"GREYBOX CAN USE  {content['rows']} rows over {content['duration']:.2f} s"]
     for c in content["channels"]:
-        few = "" if c["enough"] else "  (too slow)"
+        few = "" if c["enough"] else "  (slow)"
         units = ", ".join(sorted({u["unit"] for u in c["channels"]} - {"1"}))
         lines.append(f"  {c['from']}{' -> ' + units if units else ''}{few}")
     good = content["uses"]

@@ -5,6 +5,7 @@ Said first by `greybox inspect`, for a log of any format, from the channels alon
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -12,9 +13,13 @@ import numpy as np
 from greybox.data.channel import command_names, rotor_speed_names
 from greybox.data.raw import RawLog
 
-SLOWEST = 30.0
-"""Samples per second [Hz] of commands and of the fastest sensor below which rotors that answer in
-20 to 50 ms are not seen."""
+ROTORS = (0.02, 0.08)
+"""Time [s] in which the fastest and the slowest rotors of small craft answer a command."""
+SLOWEST = 1.0 / ROTORS[1]
+"""Samples per second [Hz] of commands and of the fastest sensor up to which every rotor has answered
+within a row: nothing shows how, and the turns in between are not known."""
+ROUND = 0.05
+"""Share by which a rate may miss a round number."""
 DISARMED = 0.02
 """Share of the range that no command ever passes: the motors do not turn."""
 GROUNDED = 0.1
@@ -41,10 +46,10 @@ def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
             yield "disarmed: no motor ever turns"
         elif _stands(raw):
             yield "on the ground: motors run, but the gyro shows no motion"
-        if rates["rotor_speed"] < SLOWEST:
+        if rates["rotor_speed"] <= SLOWEST:
             yield (
                 f"too slow: rotor speeds come at {rates['rotor_speed']:.3g} Hz, a fit needs "
-                f"{SLOWEST:g} Hz or more"
+                f"more than {SLOWEST:g} Hz"
             )
     else:
         u = np.column_stack([raw.channels[n] for n in names])
@@ -57,17 +62,32 @@ def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
             )
         elif _stands(raw):
             yield "on the ground: motors run, but the gyro shows no motion"
-        if rates.get("command", SLOWEST) < SLOWEST and rates.get("rotor_speed", 0.0) < SLOWEST:
+        if max(rates.get("command", math.inf), rates.get("rotor_speed", 0.0)) <= SLOWEST:
             yield (
-                f"too slow: commands come at {rates['command']:.3g} Hz, a fit needs {SLOWEST:g} "
-                "Hz or more"
+                f"too slow: commands come at {rates['command']:.3g} Hz, a fit needs more "
+                f"than {SLOWEST:g} Hz"
             )
     if not sensors:
         yield "no gyro, accelerometer, attitude, position or velocity"
-    elif max(sensors) < SLOWEST:
+    elif max(sensors) <= SLOWEST:
         yield (
             f"too slow: the fastest sensor comes at {max(sensors):.3g} Hz, a fit needs "
-            f"{SLOWEST:g} Hz or more"
+            f"more than {SLOWEST:g} Hz"
+        )
+
+
+def untold(rates: Mapping[str, float]) -> Iterator[str]:
+    """What a log that can be fitted is too slow to tell; nothing of one with rows as quick as the
+    fastest rotors. `rates` [Hz] by channel group."""
+    driven = [rates[g] for g in ("command", "rotor_speed") if g in rates]
+    sensors = [rates[g] for g in MEASURED if g in rates]
+    if not (driven and sensors):
+        return
+    rate = min(max(driven), max(sensors))
+    if SLOWEST < rate < (1.0 - ROUND) / ROTORS[0]:
+        yield (
+            f"rows come every {1e3 / rate:.0f} ms: rotors that answer within that (they take "
+            f"{1e3 * ROTORS[0]:.0f} to {1e3 * ROTORS[1]:.0f} ms) show lag and delay only together"
         )
 
 

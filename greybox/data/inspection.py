@@ -12,7 +12,7 @@ import numpy.typing as npt
 from greybox.data.airframe import Airframe
 from greybox.data.channel import GROUPS, channel, group_names
 from greybox.data.document import InspectDocument, StreamRow
-from greybox.data.fitness import unfit
+from greybox.data.fitness import unfit, untold
 from greybox.data.logs import mapping_for
 from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
@@ -45,8 +45,8 @@ WANTED_RATE = {
     "velocity": 10.0,
     "battery": 1.0,
 }
-"""Samples per second below which a group is of little use [Hz]: motors answer in 20 to 50 ms, so
-that commands and IMU must be logged several times in that time; the pose is bridged by the IMU."""
+"""Samples per second below which a group tells less than it could [Hz]: motors answer in 20 to
+80 ms, in which commands and IMU should be logged several times; the IMU bridges the pose."""
 
 PURPOSE = {
     "command": "without it, or rotor speeds in its place, no model of forces or torques can be "
@@ -111,17 +111,22 @@ class Inspection(Shown):
         return tuple(unfit(self.raw, {g.group: g.rate for g in self.groups}))
 
     @property
+    def untold(self) -> tuple[str, ...]:
+        """What a log that can be fitted is too slow to tell."""
+        return () if self.unfit else tuple(untold({g.group: g.rate for g in self.groups}))
+
+    @property
     def verdict(self) -> str:
         """One line: what the log is good for."""
         if self.unfit:
             return f"NOT USABLE: {'; '.join(self.unfit)}"
-        return "usable for a fit"
+        return "; ".join(["usable for a fit", *self.untold])
 
     def _shown_text(self) -> str:
         """The verdict, then what is there and what is missing."""
         lines = [self.verdict, f"{self.recording.source}: {self.format.title}"]
         lines += [
-            f"  {g.group}: {g.rate:.0f} Hz{'' if g.enough else ', too slow'}" for g in self.groups
+            f"  {g.group}: {g.rate:.0f} Hz{'' if g.enough else ', slow'}" for g in self.groups
         ]
         return "\n".join([*lines, *(f"  missing: {m.group} ({m.reason})" for m in self.missing)])
 
@@ -323,7 +328,7 @@ def _missing(groups: tuple[ChannelGroup, ...], form: LogFormat) -> list[MissingG
             continue
         reason = f"only {found.rate:.3g} Hz" if found is not None else "not in the log"
         if found is not None:
-            reason += f" (useful from {WANTED_RATE[group]:g} Hz)"
+            reason += f" (best from {WANTED_RATE[group]:g} Hz)"
         advice = form.advice.get(group, "")
         out.append(
             MissingGroup(

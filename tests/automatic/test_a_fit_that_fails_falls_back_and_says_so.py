@@ -17,7 +17,7 @@ from greybox.estimation.recipe import Recipe
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from tests.automatic.craft import flight, flights, flown, vehicle
 
-SHORT = {"seconds": 5.0}
+SHORT = {"seconds": 4.0}
 
 
 def falls(result: Fit) -> list[Any]:

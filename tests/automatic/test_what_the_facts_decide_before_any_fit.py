@@ -42,7 +42,7 @@ def decided(
     own = craft or vehicle(**sigma)
     ready = prepare(own, data)
     facts = facts_of(ready.data, own, ready.report)
-    short = Dataset(flights=tuple(f.between(0.0, 5.0) or f for f in data))
+    short = Dataset(flights=tuple(f.between(0.0, 4.0) or f for f in data))
     return facts, decide(own, short, facts, given or Given())
 
 
@@ -109,7 +109,7 @@ def test_no_flight_long_enough_takes_the_base_set_and_says_so():
     assert found.candidate is None
     assert found.recipe.effect_names == ("motor_lag", "command_delay", "gyro_bias")
     (said,) = [d for d in found.decisions if d.about == "effects"]
-    assert "every flight is shorter than 6 s" in said.reason
+    assert "every flight is shorter than 5 s" in said.reason
 
 
 def test_the_better_known_of_two_numbers_of_which_only_the_ratio_shows_is_held_and_considered():

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from greybox.data.checks import (
     saturation,
     thrust,
 )
+from greybox.data.checks.craft import of_the_craft
 from greybox.data.checks.finding import (
     SEVERITIES,
     Check,
@@ -58,6 +60,7 @@ __all__ = [
     "Severity",
     "Unjudged",
     "check",
+    "check_beside",
     "check_logs",
 ]
 
@@ -160,11 +163,11 @@ def check(
             elif one is thrust.CHECK:
                 wrong, why = _of_a_wrong_accelerometer(findings), WRONG_FORCE
             unjudged += [Unjudged(check=one.name, flight=n, reason=why) for n in sorted(wrong)]
-            for outcome in one.run([v for v in views if v.name not in wrong]):
-                if isinstance(outcome, Finding):
-                    findings.append(outcome)
-                else:
-                    unjudged.append(outcome)
+            asked = [v for v in views if v.name not in wrong]
+            outcomes = list(one.run(asked))
+            unjudged += [o for o in outcomes if isinstance(o, Unjudged)]
+            told = [o for o in outcomes if isinstance(o, Finding)]
+            findings += of_the_craft(told, unjudged, [v.name for v in asked])
     for log, view in zip(logs, views, strict=True):
         flights.append(
             FlightSummary(
@@ -184,6 +187,34 @@ def check(
         not_judged=tuple(unjudged),
         accepted=accepted,
     )
+
+
+def check_beside(
+    data: Dataset | Sequence[RawLog],
+    others: Dataset | Sequence[RawLog],
+    vehicle: Airframe,
+    *,
+    accept: Iterable[str] = (),
+) -> CheckReport:
+    """What `check` says of `data` where flights of the same craft are looked at with it: what they
+    prove of the vehicle file holds for these. Names may be in both. Raises what `check` raises."""
+    own, beside = ([_as_raw(f) if isinstance(f, Flight) else f for f in d] for d in (data, others))
+    names = {log.flight for log in own}
+    demand_names_once([log.flight for log in beside])
+    beside = [replace(b, flight=_another(b.flight, names)) for b in beside]
+    found = check([*own, *beside], vehicle, accept=accept)
+    return replace(
+        found,
+        flights=tuple(f for f in found.flights if f.name in names),
+        findings=tuple(f for f in found.findings if f.flight in names),
+        not_judged=tuple(u for u in found.not_judged if u.flight in names),
+    )
+
+
+def _another(name: str, taken: Collection[str]) -> str:
+    while name in taken:
+        name += "'"
+    return name
 
 
 def check_logs(

@@ -3,10 +3,11 @@ specific force, turned into the world by the attitude, less gravity.
 
 It sees a world frame that is turned, mirrored or upside down against the attitude, and an
 accelerometer in world or other body axes. Without an accelerometer the thrust that the commands
-give stands for it, up to its size; without a velocity the position does. A point of the craft that
-is off its centre of mass moves with every turn, too, which is no other frame: another reading must
-also be better where what such a lever arm adds is set aside. Another reading of the accelerometer
-must be better by the gyro's attitude (`witness.py`), too: an estimator's errs with what it feels.
+give stands for it, up to its size, to how much it changes and to drag; without a velocity the
+position does. A point of the craft that is off its centre of mass moves with every turn, too, which
+is no other frame: another reading must also be better where what these add is set aside. Another
+reading of the accelerometer must be better by the gyro's attitude (`witness.py`), too: an
+estimator's errs with what it feels.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from greybox.data.checks.attitude import MEND, quaternion_readings
 from greybox.data.checks.kinematics import Relation, Streams
@@ -38,6 +40,9 @@ SPAN = 0.4
 """Time [s] over which changes of velocity are taken, and longer where streams are slow."""
 HALF_WINDOW = 0.05
 """A velocity from the position is its difference over twice this time [s], or two samples."""
+
+MOST_DRAG = 1.0
+"""Share of its speed that the air takes from a craft in a second [1/s], at most."""
 
 ABOUT_THRUST = {
     "ax = ay, ay = -ax": ((0.0, 1.0), (-1.0, 0.0)),
@@ -88,7 +93,13 @@ def streams(view: View) -> Streams | str:
         arms = _body_axes(quaternions)
         if moving:
             arms = [derivative(a, dt, pace(view.group("attitude"))) for a in arms]
-        y = _without_lever_arm(at, change, readings[0].x, [at.of(a) for a in arms], half)
+        y = change
+        if not measured:  # an accelerometer feels it
+            way = integral(track - np.nanmean(track, axis=0), dt, n // BRIDGED)
+            varied = turned("rotate", quaternions, force - np.nanmean(force, axis=0))
+            more = integral(varied, dt, n // BRIDGED, times)
+            y = _as_if_felt(at, y, readings[0].x, [at.over(way), at.over(more)], half)
+        y = _without_lever_arm(at, y, readings[0].x, [at.of(a) for a in arms], half)
         return tuple(replace(r, y=y) if r.y is change else r for r in readings)
 
     return Streams(
@@ -161,6 +172,33 @@ def _without_lever_arm(
     wanted = left(at.without_bias(change[rows], rows))
     place = np.linalg.lstsq(moved, wanted.T.ravel(), rcond=None)[0]
     return np.asarray(change - axes @ place)
+
+
+def _as_if_felt(
+    at: Spans, change: FloatArray, integrated: Integral, felt: Sequence[FloatArray], late: int
+) -> FloatArray:
+    """A change of velocity (M, 3) less what an accelerometer feels besides the thrust that is told:
+    of `felt` (M, 3) each the rate of a drag times the way, and how much more the thrust changes.
+
+    On a circle drag is a turn of the frame, and so is a delay; a thrust that changes less than told
+    looks like one about a level axis. As much is left to them as a craft can have, by least squares
+    beside what is `integrated` and how that changes over `late` samples either way.
+    """
+    parts = [at.over(integrated), at.over(integrated, late) - at.over(integrated, -late), *felt]
+    rows = np.flatnonzero(np.isfinite(np.column_stack([change, *parts])).all(axis=1))
+    if not rows.size:
+        return change
+    told = np.column_stack([at.without_bias(p[rows], rows).ravel() for p in parts])
+    size = np.linalg.norm(told, axis=0)
+    size[size == 0.0] = 1.0
+    limits = np.array([(0.0, np.inf), (-np.inf, np.inf), (-MOST_DRAG, 0.0), (-1.0, 1.0)])
+    found = lsq_linear(
+        told / size,
+        at.without_bias(change[rows], rows).ravel(),
+        (limits * size[:, None]).T,
+    )
+    drag, more = (found.x / size)[2:]
+    return np.asarray(change - drag * felt[0] - more * felt[1])
 
 
 def _thrust(view: View) -> FloatArray:

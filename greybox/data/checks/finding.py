@@ -45,12 +45,13 @@ class Finding:
 @dataclass(frozen=True, kw_only=True)
 class Unjudged:
     """A check that could not be made on a flight, and why; `part` is all that is open where the rest
-    was judged."""
+    was judged. `open`: the flight has what the check is about, and does not tell."""
 
     check: str
     flight: str
     reason: str
     part: str = ""
+    open: bool = False
 
 
 Outcome = Finding | Unjudged

@@ -117,8 +117,11 @@ def related(relation: Relation, view: View) -> Related | str:
     if view.flight is None:
         return "no airborne stretch"
     streams = relation.streams_of(view)
-    if isinstance(streams, str):
-        return streams
+    return streams if isinstance(streams, str) else _of_streams(relation, view, streams)
+
+
+def _of_streams(relation: Relation, view: View, streams: Streams) -> Related | str:
+    """The relation of two streams, or why the flight does not tell it."""
     first, spans = streams.readings[0], streams.spans
     # A stream of the wrong unit may seem to stand still: the craft moves where either says so.
     sizes = _moved(first.y, spans), _moved(spans.over(first.x), spans)
@@ -231,7 +234,8 @@ def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dic
     for view in views:
         found = related(relation, view)
         if isinstance(found, str):
-            out.append(Unjudged(check=relation.name, flight=view.name, reason=found))
+            there = view.flight is not None and not isinstance(relation.streams_of(view), str)
+            out.append(Unjudged(check=relation.name, flight=view.name, reason=found, open=there))
         else:
             holds[view.name] = found
     told = alone_and_together(

@@ -41,6 +41,14 @@ MOST_ROTORS = 6
 
 AXES = ("roll", "pitch", "yaw")
 
+SPINS = "spin of the rotors"
+PARTS = {
+    SPINS: "spins",
+    "numbers of the vehicle file": "strength",
+    "commands and vehicle file": "strength",
+}
+"""Where a finding is -> the part of the check that it answers; "" of all others."""
+
 One = TypeVar("One")
 
 
@@ -64,11 +72,12 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     for view in views:
         torque = torque_regression(view) if shown_by(view) and view.drives else None
         if torque is None:
-            yield Unjudged(check="motors", flight=view.name, reason=_lacking(view))
+            open_ = view.flight is not None and view.drives
+            yield Unjudged(check="motors", flight=view.name, reason=_lacking(view), open=open_)
         elif not torque.seen[:2].all():
             reason = "the commands explain too little of the angular acceleration (share "
             reason += ", ".join(f"{s:.3f}" for s in torque.share) + ")"
-            yield Unjudged(check="motors", flight=view.name, reason=reason)
+            yield Unjudged(check="motors", flight=view.name, reason=reason, open=True)
         else:
             found[view.name] = torque
     if not found:
@@ -80,12 +89,15 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     left = {n: t for n, t in found.items() if n not in {f.flight for f in said}}
     if np.any(promised[2]):
         turning = {n: t for n, t in left.items() if t.seen[2]}
-        yield from _told(turning, lambda some: _spins(some, promised))
+        said = _told(turning, lambda some: _spins(some, promised))
+        yield from said
+        judged = {f.flight for f in said}
+        judged |= {n for n, t in turning.items() if _agrees(t.sums, promised)}
         reason = "too little yaw motion to see the spins"
         yield from (
-            Unjudged(check="motors", flight=n, reason=reason, part="spins")
+            Unjudged(check="motors", flight=n, reason=reason, part="spins", open=True)
             for n in left
-            if n not in turning
+            if n not in judged
         )
     yield from _strong({v.name: (v, left[v.name]) for v in views if v.name in left}, promised)
 
@@ -123,7 +135,7 @@ def _strong(
         strength = strength_of(view.vehicle, torque.sums, promised)
         if strength is not None and not strength.told:
             reason = "the flight does not tell how strongly the commands turn it"
-            yield Unjudged(check="motors", flight=name, reason=reason, part="strength")
+            yield Unjudged(check="motors", flight=name, reason=reason, part="strength", open=True)
 
 
 def _joined(torques: Sequence[Torque]) -> Sums:
@@ -210,17 +222,29 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     )
 
 
+def _yaw(sums: Sums, promised: FloatArray) -> tuple[float, float]:
+    """Agreement of the yaw torques with the spins, and `CLEAR` times its standard error."""
+    yaw = float(sums.total.agreement(promised)[2, 0])
+    return yaw, CLEAR * jackknife(sums.left_out.agreement(promised)[2])
+
+
+def _agrees(sums: Sums, promised: FloatArray) -> bool:
+    """Whether a flight shows that the spins are right: as clearly as one shows them wrong."""
+    yaw, error = _yaw(sums, promised)
+    return yaw > AGREE and yaw - error > 0.0
+
+
 def _spins(torques: Sequence[Torque], promised: FloatArray) -> Verdict | None:
     """What is wrong with the spins, from the yaw torques."""
     sums, share = _joined(torques), max(t.share[2] for t in torques)
-    yaw = float(sums.total.agreement(promised)[2, 0])
-    high = yaw + CLEAR * jackknife(sums.left_out.agreement(promised)[2])
+    yaw, error = _yaw(sums, promised)
+    high = yaw + error
     evidence = {"agreement_yaw": yaw, "share_yaw": share}
     if yaw < -AGREE and high < 0.0:
         return Verdict(
             claim="opposite",
             severity="blocking",
-            where="spin of the rotors",
+            where=SPINS,
             message="the yaw torques have the opposite sign: the spins are the wrong way round",
             evidence=evidence,
             fix="change the sign of spin of every rotor (1 = counter-clockwise seen from above)",
@@ -235,7 +259,7 @@ def _spins(torques: Sequence[Torque], promised: FloatArray) -> Verdict | None:
     return Verdict(
         claim=look,
         severity="warning",
-        where="spin of the rotors",
+        where=SPINS,
         message=f"the yaw torques {look}",
         evidence=evidence,
         fix="compare spin of each rotor with the craft",

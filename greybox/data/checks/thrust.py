@@ -115,7 +115,8 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
         if isinstance(sums, Sums):
             found[view.name] = sums
         elif sums is not None:
-            yield Unjudged(check=CHECK.name, flight=view.name, reason=sums)
+            open_ = view.flight is not None and view.drives
+            yield Unjudged(check=CHECK.name, flight=view.name, reason=sums, open=open_)
     if not found:
         return
     vehicle = views[0].vehicle

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from greybox.cli import main
-from greybox.data.fitness import unfit
+from greybox.data.fitness import unfit, untold
 from greybox.data.inspection import inspect_log
 from tests.data.faults import real
 
@@ -22,7 +22,7 @@ FOLDER = Path(__file__).parent / "firmware"
         (
             "sample.ulg",
             "pyulog",
-            ("disarmed: no motor ever turns", "too slow: commands come at 20.9 Hz"),
+            ("disarmed: no motor ever turns",),
         ),
         ("sample_px4_events.ulg", "pyulog", ("disarmed", "too slow: commands come at 10 Hz")),
         ("sample_log_small.ulg", "pyulog", ("no commands of rotors",)),
@@ -71,6 +71,9 @@ def test_what_makes_a_log_unfit() -> None:
         "too slow"
     ]
 
+    # The quickest craft are fitted as well from rows of 40 ms.
+    assert list(unfit(raw, dict.fromkeys(rates, 25.0))) == []
+
     def with_commands(level: float) -> list[str]:
         idle = {f"u{i}": np.full(raw.n, level) for i in range(1, 5)}
         return [
@@ -81,6 +84,16 @@ def test_what_makes_a_log_unfit() -> None:
     assert with_commands(0.0) == ["disarmed"]
     assert with_commands(0.05) == ["on the ground"]
     assert with_commands(0.5) == []
+
+
+def test_rows_slower_than_fast_rotors_say_what_they_do_not_tell() -> None:
+    for rates in ({"command": 25.0, "rate": 100.0}, {"command": 100.0, "position": 25.0}):
+        (said,) = untold(rates)
+        assert "rows come every 40 ms" in said and "only together" in said
+    assert not list(untold({"command": 49.9, "rate": 100.0}))
+    assert not list(untold({"command": 10.0, "rate": 100.0}))  # not usable at all
+    # Rotor speeds beside commands show the rotors.
+    assert not list(untold({"command": 25.0, "rotor_speed": 100.0, "rate": 100.0}))
 
 
 def test_a_craft_that_hardly_turns_flies_all_the_same_where_it_moves() -> None:
