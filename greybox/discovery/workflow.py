@@ -110,9 +110,8 @@ def discover(
 
     `faults`: what `check_logs` said about the files (by default the data are checked, which show no
     faults of their clock; those of the checks in `accept` do not block). `save` gets what is known
-    after every step, with the verdict "stopped" and, in words, what is not known. `executor` fits
-    rivals side by side, with the same result. Raises `DataError`, `ModelError`, `FitError`,
-    `UnknownNameError` (of a choice, too).
+    after every step, "stopped", and what is not known in words. `executor` fits rivals side by
+    side, with the same result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError`.
     """
     began = time.perf_counter()
     options, doubts = DiscoverOptions.of(options, choices), list[str]()
@@ -121,22 +120,17 @@ def discover(
     if tested is not None:
         demand_apart(train, tested)
     if vehicle is not None:
-        both = train if tested is None else train + tested
-        faults = faults or faults_of(vehicle, both, accept=accept)
+        faults = faults or faults_of(vehicle, train + tested if tested else train, accept=accept)
         if not faults.ok:
-            spent = time.perf_counter() - began
-            return refused(faults, vehicle, settings_of(options), spent)
+            return refused(faults, vehicle, settings_of(options), time.perf_counter() - began)
         _long_enough(train)
-        train, added = with_sensor_noise(train, vehicle)
-        tested = with_sensor_noise(tested, vehicle)[0] if tested else None
-        doubts += [f"{said_of_added(added)}: {REASON}"] if added else []
+        train, tested, doubts = _as_measured(train, tested, vehicle)
         options = _with_noise_of_clocks(options, faults)
-    settings = settings_of(options)
-    settings["sample_time"] = step = sample_time(train)
+    settings: SearchSettings = {**settings_of(options), "sample_time": sample_time(train)}
     say = onward(progress or (lambda _text, _share: None))
     run = _Run(
         flights=Flights(
-            causes=_offered(subject, train, step, options),
+            causes=_offered(subject, train, options),
             data=without_lead_in(train) if vehicle else train,
             options=options.of_every_fit,
             effort=options.effort,
@@ -155,6 +149,15 @@ def discover(
     return run.carried_out()
 
 
+def _as_measured(
+    train: Dataset, tested: Dataset | None, vehicle: Vehicle
+) -> tuple[Dataset, Dataset | None, list[str]]:
+    """Flights with noise on sensors that have none, and what was added."""
+    train, added = with_sensor_noise(train, vehicle)
+    said = [f"{said_of_added(added)}: {REASON}"] if added else []
+    return train, None if tested is None else with_sensor_noise(tested, vehicle)[0], said
+
+
 def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> DiscoverOptions:
     """With noise between attitude and gyro, where that is open, as in the automatic fit or in what
     changed since."""
@@ -165,9 +168,9 @@ def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> Disc
 
 
 def _offered(
-    subject: Vehicle | StateSpaceModel, train: Dataset, step: float, options: DiscoverOptions
+    subject: Vehicle | StateSpaceModel, train: Dataset, options: DiscoverOptions
 ) -> Causes:
-    """The causes on offer; `step` [s] is the sample time of `train`."""
+    """The causes on offer."""
     causes: Causes
     if isinstance(subject, Vehicle):
         known = None if options.since is None else since(options.since)
@@ -175,7 +178,7 @@ def _offered(
             subject,
             train.channels,
             own=options.own,
-            sample_time=step,
+            sample_time=sample_time(train),
             noncausal=train.noncausal,
             kinematic_noise=bool(options.kinematic_noise),
             fixed=options.fixed,
