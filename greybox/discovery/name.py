@@ -130,6 +130,19 @@ def judged(
     )
 
 
+def with_size(name: Name, fit: Fit) -> Name:
+    """A trace with its numbers in `fit`, which the final model has not."""
+    if name.status != "trace":
+        return name
+    own = {n: e for n, e in fit.parameters.items() if n.split(".")[0] == name.name}
+    sizes = (
+        f"{n.split('.', 1)[-1]} = {e.value:.2g} +- {e.std:.2g} {e.unit}".rstrip()
+        for n, e in own.items()
+        if np.isfinite(e.std)
+    )
+    return replace(name, reason=": ".join(part for part in (", ".join(sizes), name.reason) if part))
+
+
 def with_values_elsewhere(name: Name, fit: Fit, rivals: Sequence[Rival]) -> Name:
     """The name with what its like, where there are any, make of the numbers of `fit`."""
     found = dict[str, dict[str, float]]()

@@ -32,6 +32,7 @@ from greybox.discovery.name import (
     judged,
     separating,
     unneeded,
+    with_size,
     with_values_elsewhere,
 )
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
@@ -404,7 +405,8 @@ class _Run:
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new, RULES.span)
             said = judged(certificate, good, odd[name], self.needed, alpha, self.bar)
-            names.append(with_values_elsewhere(said, self.settled(at), rivals[name]))
+            whole = self.settled(at)
+            names.append(with_values_elsewhere(with_size(said, whole), whole, rivals[name]))
         keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]

@@ -13,7 +13,7 @@ from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import Certificate, Whole
 from greybox.discovery.evidence import Fitted, Flights, problem_of
-from greybox.discovery.name import Name, held, impossible, judged, with_values_elsewhere
+from greybox.discovery.name import Name, held, impossible, judged, with_size, with_values_elsewhere
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import RULES
 from greybox.discovery.search import Rival
@@ -204,6 +204,20 @@ def test_the_number_of_a_name_holds_what_causes_make_of_it_that_look_alike():
     assert row["parameters"]["d_p"]["std"] == pytest.approx(wide)
     assert row["parameters"]["d_q"]["std"] == fit.parameters["rotational_damping.d_q"].std
     assert f"with b: rotational_damping.d_p = {beyond:.4g}" in found.summary()
+
+
+def test_a_trace_says_how_large_it_is():
+    flights = small_world.damped()
+    fit = flights.settled(flights.fit({"rotational_damping"}))
+    little = worth(foresight(1.0), foresight(0.999), RULES.span)
+    found = replace(certificate(nothing=80.0), name="rotational_damping")
+    trace = with_size(judged(found, little, "", BAR, ALPHA), fit)
+    own = fit.parameters["rotational_damping.d_p"]
+    assert trace.status == "trace"
+    assert trace.reason.startswith(f"d_p = {own.value:.2g} +- {own.std:.2g} ")
+    assert "it is there" in trace.reason
+    name = judged(found, None, "", BAR, ALPHA)
+    assert with_size(name, fit) is name
 
 
 def test_numbers_that_stay_within_their_errors_are_not_told_twice():
