@@ -20,6 +20,8 @@ from greybox.statistics.evidence import FELT
 from greybox.validation.worth import Worth
 
 Status = Literal["certified", "supported", "one of these", "trace", "impossible", "not certified"]
+NAMED: tuple[Status, ...] = ("certified", "supported", "one of these")
+"""What is said to be missing."""
 LOG10 = float(np.log(10.0))
 EXACT = 1e-3
 """Difference in log likelihood below which two structures say the same thing with other words."""
@@ -154,6 +156,22 @@ def with_values_elsewhere(name: Name, fit: Fit, rivals: Sequence[Rival]) -> Name
             if n in known and abs(known[n] - e.value) > FELT * e.std
         }
     return replace(name, elsewhere={s: found[s] for s in name.shares if found.get(s)})
+
+
+def moved_names(names: Sequence[Name], whole: Fit, bare: Fitted) -> list[str]:
+    """Numbers of names that are elsewhere in the structure `bare` than in the `whole`, beyond
+    their errors."""
+    said, known = {n.name for n in names if n.status in NAMED}, bare.known
+    return [
+        n
+        for n, e in whole.parameters.items()
+        if n.split(".")[0] in said and abs(known.get((n, None), e.value) - e.value) > FELT * e.std
+    ]
+
+
+def stays(name: Name, why: str) -> Name:
+    """A trace that stays in the model."""
+    return replace(name, kept=True, reason=f"{name.reason}; in the model: {why}")
 
 
 def unneeded(name: Name, beside: Certificate, bar: float) -> Name:

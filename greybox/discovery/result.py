@@ -133,7 +133,10 @@ class Discovery(Shown):
 
     def traces(self) -> list[document.UnnamedRow]:
         """What is certain but worth nothing, or of a size that no craft has, with the reason."""
-        return [{**n.to_dict(), "reason": n.reason} for n in self.said("trace", "impossible")]
+        return [
+            {**n.to_dict(), "reason": n.reason, "in_model": n.kept}
+            for n in self.said("trace", "impossible")
+        ]
 
     def _stage(self, name: str) -> str:
         if physics_of(self.model.dynamics) is None:

@@ -26,11 +26,14 @@ from greybox.discovery.document import SearchSettings, settings_of
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import (
+    NAMED,
     Name,
     held,
     impossible,
     judged,
+    moved_names,
     separating,
+    stays,
     unneeded,
     with_size,
     with_values_elsewhere,
@@ -407,11 +410,31 @@ class _Run:
             said = judged(certificate, good, odd[name], self.needed, alpha, self.bar)
             whole = self.settled(at)
             names.append(with_values_elsewhere(with_size(said, whole), whole, rivals[name]))
-        keep = {"certified", "supported", "one of these", *["trace"] * self.options.trace}
         doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
         self.warnings += [doubt for doubt in doubts if doubt]
+        return self._without_traces(names, at)
+
+    def _without_traces(self, names: list[Name], at: Fitted) -> Judged:
+        """The names, and the structure without causes that have none. Traces stay where what is
+        said rests on them."""
+        keep = {*NAMED, *["trace"] * self.options.trace}
         gone = {n.name for n in names if n.status not in keep and not n.kept}
-        return names, self.flights.fit(at.structure - gone, [at.known]) if gone else at
+        traces = gone & {n.name for n in names if n.status == "trace"}
+        bare = self.flights.fit(at.structure - gone, [at.known]) if gone else at
+        if not traces:
+            return names, bare
+        whole = self.flights.fit(at.structure - (gone - traces), [at.known])
+        old, new = self.held_out(bare), self.held_out(whole)
+        together = None if old is None or new is None else worth(old, new, RULES.span)
+        moved = moved_names(names, self.settled(whole), bare)
+        if not moved and (together is None or not together.matters):
+            return names, bare
+        why = (
+            f"without it other numbers move ({', '.join(moved)})"
+            if moved
+            else "errors grow without it"
+        )
+        return [stays(n, why) if n.name in traces else n for n in names], whole
 
     def _beside_laws(self, names: list[Name], at: Fitted, laws: Fitted) -> Judged:
         """Names that fade next to the laws that won and are not needed there are none (they had

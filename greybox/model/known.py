@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.special import stdtrit
 
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
 
 LEAST = 1e-6
 """Share of a variance that is left at least where another number is given."""
@@ -34,19 +36,25 @@ def since(model: IdentifiedModel) -> Known:
 def known_numbers(
     model: IdentifiedModel, given: Mapping[str, float] | None = None
 ) -> dict[str, tuple[float, float]]:
-    """Parameter -> its number with its error; of those that differ from flight to flight with that
-    spread. With numbers that are `given`: of the others, were these so (a Gaussian posterior)."""
-    names, given = list(model.covariance_names), dict(given or {})
-    variances = np.diag(model.covariance).copy()
-    values = np.array([float(model.values[n]) for n in names])
+    """Parameter -> its number with its error; of those that differ from flight to flight with the
+    error of one more flight. With numbers that are `given`: of the others, were these so (a
+    Gaussian posterior).
+
+    The numbers are taken for independent by whoever gets them. Five that share one unknown scale
+    would then measure it five times. So each variance is multiplied by the sum of its absolute
+    correlations: the diagonal matrix of these is at least the covariance (Gershgorin), and no
+    direction is known better than it was.
+    """
+    names, values, covariance = _joint(model)
+    given = dict(given or {})
     at = [i for i, n in enumerate(names) if n in given]
     if at:
-        gain = np.linalg.lstsq(model.covariance[np.ix_(at, at)], model.covariance[at], rcond=None)[
-            0
-        ]
+        gain = np.linalg.lstsq(covariance[np.ix_(at, at)], covariance[at], rcond=None)[0]
         values += gain.T @ (np.array([given[names[i]] for i in at]) - values[at])
-        told = (gain * model.covariance[at]).sum(axis=0)
-        variances = np.maximum(variances - told, LEAST * variances)
+        whole = np.diag(covariance)
+        covariance = covariance - gain.T @ covariance[at]
+        np.fill_diagonal(covariance, np.maximum(np.diag(covariance), LEAST * whole))
+    variances = np.diag(covariance) * _shared(covariance)
     variances += np.array([model.form_errors.get(n, 0.0) ** 2 for n in names])
     prior = {
         n: (float(v), float(np.sqrt(s)))
@@ -54,5 +62,36 @@ def known_numbers(
         if s > 0
     }
     # What did not vary between flights is no reason to believe that it never does.
-    spread = {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
+    spread = {
+        n: (float(m), float(s) * _of_one_more(model, n))
+        for n, (m, s) in model.flight_spread.items()
+    }
     return prior | {n: (m, s if s > 0 else np.inf) for n, (m, s) in spread.items()}
+
+
+def _joint(model: IdentifiedModel) -> tuple[list[str], FloatArray, FloatArray]:
+    """(names, values, covariance) of what was estimated, and of what was held and not exact."""
+    n, held = len(model.covariance_names), list(model.considered)
+    names = [*model.covariance_names, *held]
+    covariance = np.zeros((len(names), len(names)))
+    covariance[:n, :n] = model.covariance
+    for j, (sigma, moves) in enumerate(model.considered.values(), n):
+        together = [sigma**2 * moves.get(name, 0.0) for name in names[:n]]
+        covariance[:n, j] = covariance[j, :n] = together
+        covariance[j, j] = sigma**2
+    return names, np.array([float(model.values[name]) for name in names]), covariance
+
+
+def _shared(covariance: FloatArray) -> FloatArray:
+    """Sum of the absolute correlations of each number with all, itself included."""
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.outer(error, error)
+    known = np.divide(np.abs(covariance), size, out=np.zeros_like(size), where=size > 0)
+    return np.minimum(known, 1.0).sum(axis=1)
+
+
+def _of_one_more(model: IdentifiedModel, name: str) -> float:
+    """Factor on the spread of what flights had, so that 95 % of next ones are within 1.96 of it
+    (Student's prediction interval): two flights hardly tell how far a third may be."""
+    n = sum(name in own for own in model.per_flight.values())
+    return float(stdtrit(n - 1, 0.975) / 1.96 * np.sqrt(1 + 1 / n)) if n > 1 else 1.0

@@ -26,7 +26,9 @@ def identified() -> IdentifiedModel:
         values={n: v for n, (v, _) in KNOWN.items()} | {"payload_mass.mu": 0.1},
         covariance=np.diag([s**2 for _, s in KNOWN.values()]),
         covariance_names=tuple(KNOWN),
+        considered={},
         form_errors={},
+        per_flight={},
         flight_spread={"payload_mass.mu": (0.1, 0.02)},
         physics=SimpleNamespace(
             input="command",

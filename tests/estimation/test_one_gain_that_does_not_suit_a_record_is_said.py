@@ -83,8 +83,9 @@ def test_the_fit_blames_the_gain_and_names_what_finds_the_truth() -> None:
     for name, value in TRUTH.items():
         assert abs(better[name].value - value) < 3 * better[name].std
     told = validate(better.model, drives(1, 9)).verdict
-    assert told is not None and "the model itself is not judged" in told.line
-    assert Symptom.TURNING.anchor in told.line and "is missing in the model" not in told.line
+    assert told is not None and "the model itself is not judged" in told.sentence
+    said = told.sentence
+    assert Symptom.TURNING.anchor in said and "is missing in the model" not in said
 
 
 def test_a_heading_that_is_measured_turns_nothing() -> None:

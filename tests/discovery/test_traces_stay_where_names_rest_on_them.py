@@ -1,0 +1,53 @@
+"""A cause that is worth nothing beside the others leaves the model; where what is said rests on it,
+it stays: its numbers would be taken up by a name that was judged beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from greybox.discovery.name import moved_names, stays
+from greybox.discovery.rules import RULES
+from greybox.validation.worth import worth
+from tests.discovery import small_world
+from tests.discovery.test_names_matter_and_are_possible import (
+    ALPHA,
+    BAR,
+    certificate,
+    foresight,
+    judged,
+)
+
+
+def names_of_two(damping: str = "certified"):
+    """A name and a trace."""
+    good, little = (worth(foresight(1.0), foresight(v), RULES.span) for v in (0.5, 0.999))
+    name = judged(
+        replace(certificate(nothing=80.0), name="rotational_damping"), good, "", BAR, ALPHA
+    )
+    trace = judged(replace(certificate(nothing=80.0), name="gyro_bias"), little, "", BAR, ALPHA)
+    assert (name.status, trace.status) == ("certified", "trace")
+    return [replace(name, status=damping), trace]
+
+
+def test_a_name_that_moves_without_the_trace_is_told():
+    flights = small_world.damped()
+    whole = flights.fit({"rotational_damping"})
+    fit = flights.settled(whole)
+    own = fit.parameters["rotational_damping.d_p"]
+    there = whole.space.unknowns
+    at = [u.name for u in there].index("rotational_damping.d_p")
+    for moved, told in ((10 * own.std, ["rotational_damping.d_p"]), (own.std, [])):
+        theta = whole.theta.copy()
+        theta[at] = own.value + moved
+        bare = replace(whole, theta=theta)
+        assert moved_names(names_of_two(), fit, bare) == told
+        assert moved_names(names_of_two("not certified"), fit, bare) == []
+
+
+def test_it_stays_in_the_model_without_a_name_and_says_why():
+    _, trace = names_of_two()
+    kept = stays(trace, "without it other numbers move (rotational_damping.d_p)")
+    assert (kept.status, kept.kept) == ("trace", True)
+    assert kept.reason.endswith(
+        "in the model: without it other numbers move (rotational_damping.d_p)"
+    )
