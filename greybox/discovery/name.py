@@ -132,19 +132,6 @@ def judged(
     )
 
 
-def with_size(name: Name, fit: Fit) -> Name:
-    """A trace with its numbers in `fit`, which the final model has not."""
-    if name.status != "trace":
-        return name
-    own = {n: e for n, e in fit.parameters.items() if n.split(".")[0] == name.name}
-    sizes = (
-        f"{n.split('.', 1)[-1]} = {e.value:.2g} +- {e.std:.2g} {e.unit}".rstrip()
-        for n, e in own.items()
-        if np.isfinite(e.std)
-    )
-    return replace(name, reason=": ".join(part for part in (", ".join(sizes), name.reason) if part))
-
-
 def with_values_elsewhere(name: Name, fit: Fit, rivals: Sequence[Rival]) -> Name:
     """The name with what its like, where there are any, make of the numbers of `fit`."""
     found = dict[str, dict[str, float]]()
@@ -156,22 +143,6 @@ def with_values_elsewhere(name: Name, fit: Fit, rivals: Sequence[Rival]) -> Name
             if n in known and abs(known[n] - e.value) > FELT * e.std
         }
     return replace(name, elsewhere={s: found[s] for s in name.shares if found.get(s)})
-
-
-def moved_names(names: Sequence[Name], whole: Fit, bare: Fitted) -> list[str]:
-    """Numbers of names that are elsewhere in the structure `bare` than in the `whole`, beyond
-    their errors."""
-    said, known = {n.name for n in names if n.status in NAMED}, bare.known
-    return [
-        n
-        for n, e in whole.parameters.items()
-        if n.split(".")[0] in said and abs(known.get((n, None), e.value) - e.value) > FELT * e.std
-    ]
-
-
-def stays(name: Name, why: str) -> Name:
-    """A trace that stays in the model."""
-    return replace(name, kept=True, reason=f"{name.reason}; in the model: {why}")
 
 
 def unneeded(name: Name, beside: Certificate, bar: float) -> Name:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from greybox.discovery import document
-from greybox.discovery.cause import LEVELS
 from greybox.discovery.folder import WITH_LAWS, write_found
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
+from greybox.discovery.words import first_line, in_words, rows_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.estimation.noise_table import SensorRow
@@ -29,20 +29,12 @@ from greybox.plots import bars
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import file_name
 from greybox.shown import Cell, Shown
-from greybox.validation.gap import GapRow, closing, doubt
+from greybox.validation.gap import GapRow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.discovery/2"
-SAYS = {
-    "bad_data": "the data have faults that block the search",
-    "stopped": "the search was stopped before its end: what it had found until then is not judged",
-    "named": "missing effects were found and named",
-    "ambiguous": "something is missing; these data cannot say which of several effects",
-    "unnamed": "something is left that no effect on offer explains",
-    "nothing_missing": "nothing is missing at the power of these data",
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -98,20 +90,7 @@ class Discovery(Shown):
         return self.summary()
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
-        """One row per cause that was judged: the log10 e-value of leaving it out, and the share of
-        the squared error ahead that it removes."""
-        return [
-            {
-                "cause": n.name,
-                "status": n.status,
-                "log10 e": n.certificate.rivals.get((), float("nan")) / LOG10,
-                "removes": None if n.worth is None else n.worth.share,
-                "of": None if n.worth is None else n.worth.group,
-                "horizon [s]": None if n.worth is None else n.worth.horizon,
-                "reason": n.reason,
-            }
-            for n in self.names
-        ]
+        return rows_of(self.names)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """The log10 e-value of every cause that was judged, against leaving it out, and the bar
@@ -127,7 +106,7 @@ class Discovery(Shown):
     def effects(self) -> list[document.NamedRow]:
         """Certified and supported effects with the estimates of the final fit."""
         return [
-            {**n.to_dict(), "stage": self._stage(n.name), "parameters": self._parameters(n.name)}
+            {**n.to_dict(), "stage": self._stage(n.name), "parameters": self.numbers_of(n.name)}
             for n in self.said("certified", "supported")
         ]
 
@@ -143,7 +122,8 @@ class Discovery(Shown):
             return "own"
         return next((e.stage for e in self.final_effects if e.name == name), "wrench")
 
-    def _parameters(self, name: str) -> dict[str, document.Estimate]:
+    def numbers_of(self, name: str) -> dict[str, document.Estimate]:
+        """Estimates of a cause in the final fit, by the names of its numbers."""
         assert self.fit is not None
         own = {n: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
         wide = {n: float(np.hypot(e.std, self._apart(n, e.value))) for n, e in own.items()}
@@ -195,7 +175,7 @@ class Discovery(Shown):
                 ],
                 "separating_manoeuvre": self.separating.get(n.name),
                 "log10_e": n.certificate.rivals.get((), 0.0) / LOG10,
-                "parameters": self._parameters(n.name),
+                "parameters": self.numbers_of(n.name),
             }
             for n in self.said("one of these")
         ]
@@ -220,7 +200,7 @@ class Discovery(Shown):
                 for n in self.said("not certified")
             ],
             "model_with_laws": None if self.lawful is None else WITH_LAWS,
-            "base": [{"name": n, "parameters": self._parameters(n)} for n in self.base if fitted],
+            "base": [{"name": n, "parameters": self.numbers_of(n)} for n in self.base if fitted],
             "sensors": [s.copy() for s in self.sensors],
             "locations": self.locations(),
             "steps": [s.copy() for s in self.steps],
@@ -248,101 +228,8 @@ class Discovery(Shown):
     @property
     def line(self) -> str:
         """What a pilot wants to know, in one line."""
-        if self.verdict in ("bad_data", "stopped"):
-            more = f"; {self.so_far}" if self.so_far else ""
-            return f"{self.verdict.replace('_', ' ').upper()}: {SAYS[self.verdict]}{more}"
-        found = [e["name"] for e in self.effects()]
-        if len(found) == 1:  # numbers of several stand below
-            found = [_in_words(e["name"], e["parameters"]) for e in self.effects()]
-        for a in self.ambiguous():
-            found.append("one of " + " / ".join(c["name"] for c in a["candidates"]))
-        lawful = [u["channel"] for u in self.unnamed() if u["file"]]
-        found += [
-            f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS}, in Python .lawful)"
-        ][: len(lawful)]
-        held = dict.fromkeys(u["channel"].split(".")[0] for u in self.unnamed() if not u["file"])
-        kept = ", ".join(n.name for n in self.said("not certified") if n.kept)
-        told = self.model_verdict
-        rough = f"{told.sentence}. " if told and told.refused else doubt(self.gap)
-        if self.fit and not self.fit.converged:
-            rough += "NOT CONVERGED, every number may move: "
-        rough += f"AGAINST THE FILE: {'; '.join(self.denied)}. " * bool(self.denied)
-        what = f"MISSING: {'; '.join(found)}" if found else "nothing is missing that has a name"
-        what += f"; in the model, not certified: {kept}" * bool(kept)
-        what = rough + what
-        if held:
-            return f"{what}; without a name: {', '.join(held)}"
-        if found or kept:
-            return f"{what}; nothing clear is left"
-        least = list(self.minimum_detectable.items())[:3]
-        seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
-        return (
-            f"{rough}NOTHING MISSING"
-            + f" (would have been named from {seen} on at the latest, ...)" * bool(seen)
-        )
+        return first_line(self)
 
     def summary(self) -> str:
         """The verdict in words, most important first."""
-        lines = [self.line, *(f"  fault: {f}" for f in self.faults)]
-        if self.fit is None:
-            return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
-        for e in self.effects():
-            words = _in_words(e["name"], e["parameters"])
-            told = f"{e['status']}, log10 e {e['log10_e']:.1f}{_worth(e['worth'])}"
-            lines.append(f"  {words}: {told}")
-            odds = "    rather than {name}: log10 odds {log10_odds:.1f}, log10 e {log10_e:.1f}"
-            lines += [odds.format(**u) for u in e["unlikely"]]
-            laws = {} if self.lawful is None else self.lawful.values
-            its = [(n, f"{e['name']}.{n}") for n in e["parameters"]]
-            said = ", ".join(f"{n} = {laws[k]:.4g}" for n, k in its if k in laws)
-            lines += [f"    with the laws: {said}"] if said else []
-        for a in self.ambiguous():
-            own = _in_words(a["candidates"][0]["name"], a["parameters"])
-            rows = [own, *(c["name"] for c in a["candidates"][1:])]
-            shares = (f", {c['weight']:.0%}" for c in a["candidates"])
-            lines.append("  one of " + " / ".join(map("".join, zip(rows, shares, strict=True))))
-            for c in a["candidates"]:
-                moved = ", ".join(f"{k} = {v:.4g}" for k, v in c.get("elsewhere", {}).items())
-                lines += [f"    with {c['name']}: {moved}"] * bool(moved)
-            if fly := a["separating_manoeuvre"]:
-                size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
-                apart = f"to tell them apart, {fly['text']}{size}"
-                never = "no manoeuvre that was tried tells all of them apart"
-                lines.append(f"    {never if fly['seconds_to_bic_10'] is None else apart}")
-        lines += [f"  {t['status']}: {t['name']}, {t['reason']}" for t in self.traces()]
-        for n in self.said("not certified"):
-            lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
-        if self.base:
-            drift = ", noise between attitude and gyro" * bool(self.settings.get("kinematic_noise"))
-            base = (_in_words(n, self._parameters(n)) if n in LEVELS else n for n in self.base)
-            lines.append(f"  in every model: {', '.join(base)}{drift}")
-        for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
-            channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
-            lines.append(f"  sensors: {kind} in {', '.join(channels)}")
-        if held := [f"{u['channel']} {_size(u)}" for u in self.unnamed() if not u["proposal"]]:
-            lines.append(f"  without a name: {', '.join(held)}")
-        for u in (u for u in self.unnamed() if u["proposal"]):
-            law = f"{u['proposal']} ({u['share']:.0%} of it)"
-            lines.append(f"  unnamed: {u['channel']}, {_size(u)}: {law}")
-        lines += closing(self.gap)
-        lines += [f"  cannot be judged: {n} ({why})" for n, why in self.unjudged.items()]
-        return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
-
-
-def _in_words(name: str, parameters: Mapping[str, document.Estimate]) -> str:
-    numbers = ", ".join(
-        f"{n} = {v['value']:.4g}" + (f" +- {v['std']:.2g}" if v["std"] else "") + f" {v['unit']}"
-        for n, v in parameters.items()
-    )
-    return f"{name} ({numbers})"
-
-
-def _worth(w: document.WorthRow | None) -> str:
-    if w is None:
-        return ""
-    ahead = f"{w['horizon_s']:g} s" if w["horizon_s"] else "one sample"
-    return f", removes {w['share']:.0%} of the squared error of {w['group']} {ahead} ahead"
-
-
-def _size(axis: document.LeftRow) -> str:
-    return f"{axis['rms']:.2g} {axis['unit']} that lasts {axis['lasts_s']:.2g} s"
+        return in_words(self)

@@ -31,11 +31,8 @@ from greybox.discovery.name import (
     held,
     impossible,
     judged,
-    moved_names,
     separating,
-    stays,
     unneeded,
-    with_size,
     with_values_elsewhere,
 )
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
@@ -43,7 +40,9 @@ from greybox.discovery.own_cause import offer_own
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import RULES
 from greybox.discovery.search import Rival, Search
-from greybox.errors import DataError, GreyboxError, ModelError, UnknownNameError
+from greybox.discovery.words import moved_names, so_far, stays, with_size
+from greybox.errors import GreyboxError, ModelError, UnknownNameError
+from greybox.estimation.few_samples import demand_long_enough
 from greybox.estimation.fit import Fit
 from greybox.estimation.noise_table import sensor_table
 from greybox.estimation.options import says_choices
@@ -54,9 +53,9 @@ from greybox.model.faults import faults_of
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import known_numbers, since
 from greybox.model.layer import physics_of
-from greybox.model.noise_free import REASON, said_of_added, with_sensor_noise
+from greybox.model.noise_free import as_measured
 from greybox.model.vehicle import Vehicle
-from greybox.model.verdict import UNFINISHED
+from greybox.model.verdict import STOPPED
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
@@ -75,14 +74,7 @@ from greybox.validation.sanity import denied
 from greybox.validation.validate import validate
 from greybox.validation.worth import worth
 
-SHORTEST_FLIGHT = 0.6
-"""Seconds without an interruption: the first tenth tells only its commands."""
 Progress = Callable[[str, float], None]
-STOPPED = replace(
-    UNFINISHED,
-    line="UNFINISHED: the search stopped on the way to this model; discovery.json says how",
-)
-"""Of the model of a search that goes on."""
 Judged = tuple[list[Name], Fitted]
 """Names, and the structure of what is said."""
 
@@ -127,8 +119,8 @@ def discover(
         faults = faults or faults_of(vehicle, train + tested if tested else train, accept=accept)
         if not faults.ok:
             return refused(faults, vehicle, settings_of(options), time.perf_counter() - began)
-        _long_enough(train)
-        train, tested, doubts = _as_measured(train, tested, vehicle)
+        demand_long_enough(train)
+        train, tested, doubts = as_measured(train, tested, vehicle)
         options = _with_noise_of_clocks(options, faults)
     settings: SearchSettings = {**settings_of(options), "sample_time": sample_time(train)}
     say = onward(progress or (lambda _text, _share: None))
@@ -151,15 +143,6 @@ def discover(
         warnings=doubts,
     )
     return run.carried_out()
-
-
-def _as_measured(
-    train: Dataset, tested: Dataset | None, vehicle: Vehicle
-) -> tuple[Dataset, Dataset | None, list[str]]:
-    """Flights with noise on sensors that have none, and what was added."""
-    train, added = with_sensor_noise(train, vehicle)
-    said = [f"{said_of_added(added)}: {REASON}"] if added else []
-    return train, None if tested is None else with_sensor_noise(tested, vehicle)[0], said
 
 
 def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> DiscoverOptions:
@@ -222,17 +205,6 @@ def refused(
         seconds=seconds,
         settings=settings or {},
     )
-
-
-def _long_enough(train: Dataset) -> None:
-    longest = max((s.n * f.dt for f in train for s in f.segments), default=0.0)
-    if longest < SHORTEST_FLIGHT:
-        raise DataError(
-            "no training flight is long enough to search in",
-            expected=f"{SHORTEST_FLIGHT:g} s without an interruption",
-            got=f"{longest:.2g} s at most",
-            fix="flights of some ten seconds in which everything moves",
-        )
 
 
 @dataclass(kw_only=True, eq=False)
@@ -341,14 +313,9 @@ class _Run:
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
         """Save what is known, and what is not: the search stands `at` a structure; `names` are what
         was said of its causes."""
-        added = ", ".join(search.added(at)) or "nothing"
-        known, rest = f"taken up so far, not certified: {added}", "further steps, certificates, "
-        if names is not None:
-            said = (f"{n.name} {n.status}" for n in names)
-            known, rest = f"so far, what laws may still change: {', '.join(said) or 'no name'}", ""
-        so_far = f"{known}; not done: {rest}what is left, the gap"
         found = self._so_far(self.settled(at).judged(STOPPED))
-        self.save(replace(found, so_far=so_far, steps=tuple(search.steps)))
+        said = so_far(search.added(at), names)
+        self.save(replace(found, so_far=said, steps=tuple(search.steps)))
 
     def _so_far(self, found: Fit) -> Discovery:
         return Discovery(
@@ -429,11 +396,8 @@ class _Run:
         moved = moved_names(names, self.settled(whole), bare)
         if not moved and (together is None or not together.matters):
             return names, bare
-        why = (
-            f"without it other numbers move ({', '.join(moved)})"
-            if moved
-            else "errors grow without it"
-        )
+        moves = f"without it other numbers move ({', '.join(moved)})"
+        why = moves if moved else "errors grow without it"
         return [stays(n, why) if n.name in traces else n for n in names], whole
 
     def _beside_laws(self, names: list[Name], at: Fitted, laws: Fitted) -> Judged:

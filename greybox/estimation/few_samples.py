@@ -10,9 +10,25 @@ makes a 95 % interval, so it is said that the flights are too short.
 
 from __future__ import annotations
 
+from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.estimation.covariance import FEWEST_BLOCKS
 from greybox.estimation.problem import Problem
+
+SHORTEST_FLIGHT = 0.6
+"""Seconds without an interruption: the first tenth tells only its commands."""
+
+
+def demand_long_enough(train: Dataset) -> None:
+    """Raise `DataError` where no flight is long enough to search in."""
+    longest = max((s.n * f.dt for f in train for s in f.segments), default=0.0)
+    if longest < SHORTEST_FLIGHT:
+        raise DataError(
+            "no training flight is long enough to search in",
+            expected=f"{SHORTEST_FLIGHT:g} s without an interruption",
+            got=f"{longest:.2g} s at most",
+            fix="flights of some ten seconds in which everything moves",
+        )
 
 
 def demand_samples(problem: Problem) -> None:

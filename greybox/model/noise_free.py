@@ -72,6 +72,15 @@ def with_sensor_noise(data: Dataset, vehicle: Vehicle) -> tuple[Dataset, tuple[N
     return Dataset(flights=tuple(_noisy(f, silent, vehicle) for f in data)), added
 
 
+def as_measured(
+    train: Dataset, tested: Dataset | None, vehicle: Vehicle
+) -> tuple[Dataset, Dataset | None, list[str]]:
+    """Flights that teach and judge with noise on sensors that have none, and what was added."""
+    train, added = with_sensor_noise(train, vehicle)
+    said = [f"{said_of_added(added)}: {REASON}"] if added else []
+    return train, None if tested is None else with_sensor_noise(tested, vehicle)[0], said
+
+
 def said_of_added(added: Sequence[NoiseAdded]) -> str:
     """What was added, in one line."""
     return f"white noise added to {', '.join(a.described() for a in added)}"

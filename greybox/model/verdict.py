@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NotRequired, TypedDict
 
 from greybox.errors import ModelError
@@ -264,6 +264,11 @@ UNFINISHED = Verdict(
     groups=(),
 )
 """What a fit is saved with while the rest is at work, so that nothing can lose it."""
+STOPPED = replace(
+    UNFINISHED,
+    line="UNFINISHED: the search stopped on the way to this model; discovery.json says how",
+)
+"""Of the model of a search that goes on."""
 
 
 def demand_usable(verdict: Verdict | None, model: str, *, even_so: bool) -> None:

@@ -13,10 +13,11 @@ from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import Certificate, Whole
 from greybox.discovery.evidence import Fitted, Flights, problem_of
-from greybox.discovery.name import Name, held, impossible, judged, with_size, with_values_elsewhere
+from greybox.discovery.name import Name, held, impossible, judged, with_values_elsewhere
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import RULES
 from greybox.discovery.search import Rival
+from greybox.discovery.words import with_size
 from greybox.discovery.workflow import discover
 from greybox.errors import ModelError, VehicleError
 from greybox.estimation.problem import Value

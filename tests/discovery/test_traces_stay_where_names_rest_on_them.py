@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from greybox.discovery.name import moved_names, stays
 from greybox.discovery.rules import RULES
+from greybox.discovery.words import moved_names, stays
 from greybox.validation.worth import worth
 from tests.discovery import small_world
 from tests.discovery.test_names_matter_and_are_possible import (

@@ -1,0 +1,191 @@
+"""Words: what a search found, for people. It says what `greybox.discovery.result` has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from greybox.discovery.cause import LEVELS
+from greybox.discovery.document import Estimate, LeftRow, WorthRow
+from greybox.discovery.evidence import Fitted
+from greybox.discovery.folder import WITH_LAWS
+from greybox.discovery.name import LOG10, NAMED, Name
+from greybox.estimation.result import Fit
+from greybox.shown import Cell
+from greybox.statistics.evidence import FELT
+from greybox.validation.gap import closing, doubt
+
+if TYPE_CHECKING:
+    from greybox.discovery.result import Discovery
+
+SAYS = {
+    "bad_data": "the data have faults that block the search",
+    "stopped": "the search was stopped before its end: what it had found until then is not judged",
+    "named": "missing effects were found and named",
+    "ambiguous": "something is missing; these data cannot say which of several effects",
+    "unnamed": "something is left that no effect on offer explains",
+    "nothing_missing": "nothing is missing at the power of these data",
+}
+
+
+def first_line(found: Discovery) -> str:
+    """What a pilot wants to know, in one line."""
+    if found.verdict in ("bad_data", "stopped"):
+        more = f"; {found.so_far}" if found.so_far else ""
+        return f"{found.verdict.replace('_', ' ').upper()}: {SAYS[found.verdict]}{more}"
+    names = [e["name"] for e in found.effects()]
+    if len(names) == 1:  # numbers of several stand below
+        names = [_in_words(e["name"], e["parameters"]) for e in found.effects()]
+    for a in found.ambiguous():
+        names.append("one of " + " / ".join(c["name"] for c in a["candidates"]))
+    lawful = [u["channel"] for u in found.unnamed() if u["file"]]
+    names += [f"laws without a name, of {', '.join(lawful)} (use {WITH_LAWS}, in Python .lawful)"][
+        : len(lawful)
+    ]
+    held = dict.fromkeys(u["channel"].split(".")[0] for u in found.unnamed() if not u["file"])
+    kept = ", ".join(n.name for n in found.said("not certified") if n.kept)
+    told = found.model_verdict
+    rough = f"{told.sentence}. " if told and told.refused else doubt(found.gap)
+    if found.fit and not found.fit.converged:
+        rough += "NOT CONVERGED, every number may move: "
+    rough += f"AGAINST THE FILE: {'; '.join(found.denied)}. " * bool(found.denied)
+    what = f"MISSING: {'; '.join(names)}" if names else "nothing is missing that has a name"
+    what += f"; in the model, not certified: {kept}" * bool(kept)
+    what = rough + what
+    if held:
+        return f"{what}; without a name: {', '.join(held)}"
+    if names or kept:
+        return f"{what}; nothing clear is left"
+    least = list(found.minimum_detectable.items())[:3]
+    seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
+    return (
+        f"{rough}NOTHING MISSING"
+        + f" (would have been named from {seen} on at the latest, ...)" * bool(seen)
+    )
+
+
+def in_words(found: Discovery) -> str:
+    """The verdict in words, most important first."""
+    lines = [found.line, *(f"  fault: {f}" for f in found.faults)]
+    if found.fit is None:
+        return "\n".join([*lines, *(f"warning: {w}" for w in found.warnings)])
+    for e in found.effects():
+        words = _in_words(e["name"], e["parameters"])
+        told = f"{e['status']}, log10 e {e['log10_e']:.1f}{_worth(e['worth'])}"
+        lines.append(f"  {words}: {told}")
+        odds = "    rather than {name}: log10 odds {log10_odds:.1f}, log10 e {log10_e:.1f}"
+        lines += [odds.format(**u) for u in e["unlikely"]]
+        laws = {} if found.lawful is None else found.lawful.values
+        its = [(n, f"{e['name']}.{n}") for n in e["parameters"]]
+        said = ", ".join(f"{n} = {laws[k]:.4g}" for n, k in its if k in laws)
+        lines += [f"    with the laws: {said}"] if said else []
+    for a in found.ambiguous():
+        own = _in_words(a["candidates"][0]["name"], a["parameters"])
+        rows = [own, *(c["name"] for c in a["candidates"][1:])]
+        shares = (f", {c['weight']:.0%}" for c in a["candidates"])
+        lines.append("  one of " + " / ".join(map("".join, zip(rows, shares, strict=True))))
+        for c in a["candidates"]:
+            moved = ", ".join(f"{k} = {v:.4g}" for k, v in c.get("elsewhere", {}).items())
+            lines += [f"    with {c['name']}: {moved}"] * bool(moved)
+        if fly := a["separating_manoeuvre"]:
+            size = f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else ""
+            apart = f"to tell them apart, {fly['text']}{size}"
+            never = "no manoeuvre that was tried tells all of them apart"
+            lines.append(f"    {never if fly['seconds_to_bic_10'] is None else apart}")
+    lines += [f"  {t['status']}: {t['name']}, {t['reason']}" for t in found.traces()]
+    for n in found.said("not certified"):
+        lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
+    if found.base:
+        drift = ", noise between attitude and gyro" * bool(found.settings.get("kinematic_noise"))
+        base = (_in_words(n, found.numbers_of(n)) if n in LEVELS else n for n in found.base)
+        lines.append(f"  in every model: {', '.join(base)}{drift}")
+    for kind in dict.fromkeys(s["kind"] for s in found.sensors if s["kind"] != "white"):
+        channels = [s["channel"] for s in found.sensors if s["kind"] == kind]
+        lines.append(f"  sensors: {kind} in {', '.join(channels)}")
+    if held := [f"{u['channel']} {_size(u)}" for u in found.unnamed() if not u["proposal"]]:
+        lines.append(f"  without a name: {', '.join(held)}")
+    for u in (u for u in found.unnamed() if u["proposal"]):
+        law = f"{u['proposal']} ({u['share']:.0%} of it)"
+        lines.append(f"  unnamed: {u['channel']}, {_size(u)}: {law}")
+    lines += closing(found.gap)
+    lines += [f"  cannot be judged: {n} ({why})" for n, why in found.unjudged.items()]
+    return "\n".join([*lines, *(f"warning: {w}" for w in found.warnings)])
+
+
+def _in_words(name: str, parameters: Mapping[str, Estimate]) -> str:
+    numbers = ", ".join(
+        f"{n} = {v['value']:.4g}" + (f" +- {v['std']:.2g}" if v["std"] else "") + f" {v['unit']}"
+        for n, v in parameters.items()
+    )
+    return f"{name} ({numbers})"
+
+
+def _worth(w: WorthRow | None) -> str:
+    if w is None:
+        return ""
+    ahead = f"{w['horizon_s']:g} s" if w["horizon_s"] else "one sample"
+    return f", removes {w['share']:.0%} of the squared error of {w['group']} {ahead} ahead"
+
+
+def _size(axis: LeftRow) -> str:
+    return f"{axis['rms']:.2g} {axis['unit']} that lasts {axis['lasts_s']:.2g} s"
+
+
+def with_size(name: Name, fit: Fit) -> Name:
+    """A trace with its numbers in `fit`, which the final model has not."""
+    if name.status != "trace":
+        return name
+    own = {n: e for n, e in fit.parameters.items() if n.split(".")[0] == name.name}
+    sizes = (
+        f"{n.split('.', 1)[-1]} = {e.value:.2g} +- {e.std:.2g} {e.unit}".rstrip()
+        for n, e in own.items()
+        if np.isfinite(e.std)
+    )
+    return replace(name, reason=": ".join(part for part in (", ".join(sizes), name.reason) if part))
+
+
+def stays(name: Name, why: str) -> Name:
+    """A trace that stays in the model."""
+    return replace(name, kept=True, reason=f"{name.reason}; in the model: {why}")
+
+
+def moved_names(names: Sequence[Name], whole: Fit, bare: Fitted) -> list[str]:
+    """Numbers of names that are elsewhere in the structure `bare` than in the `whole`, beyond
+    their errors."""
+    said, known = {n.name for n in names if n.status in NAMED}, bare.known
+    return [
+        n
+        for n, e in whole.parameters.items()
+        if n.split(".")[0] in said and abs(known.get((n, None), e.value) - e.value) > FELT * e.std
+    ]
+
+
+def so_far(added: Sequence[str], names: Sequence[Name] | None) -> str:
+    """What a search knows that stands where causes were `added`, and what it has not done; `names`
+    are what was said of them."""
+    taken = f"taken up so far, not certified: {', '.join(added) or 'nothing'}"
+    rest = "what is left, the gap"
+    if names is None:
+        return f"{taken}; not done: further steps, certificates, {rest}"
+    said = ", ".join(f"{n.name} {n.status}" for n in names) or "no name"
+    return f"so far, what laws may still change: {said}; not done: {rest}"
+
+
+def rows_of(names: Sequence[Name]) -> list[dict[str, Cell]]:
+    """One row per cause that was judged: the log10 e-value of leaving it out, and the share of the
+    squared error ahead that it removes."""
+    return [
+        {
+            "cause": n.name,
+            "status": n.status,
+            "log10 e": n.certificate.rivals.get((), float("nan")) / LOG10,
+            "removes": None if n.worth is None else n.worth.share,
+            "of": None if n.worth is None else n.worth.group,
+            "horizon [s]": None if n.worth is None else n.worth.horizon,
+            "reason": n.reason,
+        }
+        for n in names
+    ]
