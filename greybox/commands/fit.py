@@ -51,7 +51,7 @@ def add(subparsers: Subcommands) -> None:
         "Writes fit.json, model.json "
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not "
         "usable, or a fault of all flights or of the vehicle file blocks, 2: bad input, 130: "
-        "interrupted (the same command goes on).",
+        "interrupted (the same command goes on; with --model-file it starts again).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p, read=False)

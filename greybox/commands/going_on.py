@@ -55,9 +55,10 @@ def given(arguments: argparse.Namespace) -> dict[str, str]:
     for name, value in sorted(vars(arguments).items()):
         if name in SHOWN or callable(value):
             continue
-        words = [str(v) for v in value] if isinstance(value, (list, tuple)) else [str(value)]
+        several = isinstance(value, (list, tuple))
+        words = [str(v) for v in value] if several else [str(value)]
         for k, word in enumerate(words):
-            if content := _content(word):
+            if (several or isinstance(value, str)) and (content := _content(word)):
                 words[k] = Path(word).name
                 out[f"file {words[k]}"] = out.get(f"file {words[k]}", "") + content
         out[f"--{name.replace('_', '-')}"] = " ".join(words)
@@ -69,9 +70,12 @@ def _content(word: str) -> str:
     pipe is another one every time."""
     from greybox.files import content_sha256
 
-    named = word if word and Path(word).exists() else word.rpartition(":")[0]
-    place = Path(named)
-    if not named or not place.exists():
+    try:
+        named = word if word and Path(word).exists() else word.rpartition(":")[0]
+        place = Path(named)
+        if not named or not place.exists():
+            return ""
+    except (OSError, ValueError):  # longer than any name of a file
         return ""
     return content_sha256(place) if place.is_file() or place.is_dir() else secrets.token_hex()
 

@@ -118,6 +118,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _read(arguments: argparse.Namespace) -> tuple[IdentifiedModel, Dataset, Path]:
     """The model, the flights that it was fitted to, and the fit.json beside it."""
     from greybox.errors import DataError
+    from greybox.model.layer import physics_of
+    from greybox.model.noise_free import with_sensor_noise
 
     model = loaded(arguments)
     beside = Path(arguments.model).with_name("fit.json")
@@ -134,6 +136,9 @@ def _read(arguments: argparse.Namespace) -> tuple[IdentifiedModel, Dataset, Path
             expected=", ".join(model.trained_on),
             fix="give the flights that it was fitted to",
         )
+    physics = physics_of(model.dynamics)
+    if physics is not None and train.hash != model.data_hash:
+        train = with_sensor_noise(train, physics.vehicle)[0]
     return model, train, beside
 
 

@@ -19,6 +19,7 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
+from greybox.data.fingerprint import of_one_flight
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer, sensor_cause
 from greybox.discovery.certificate import regret
@@ -43,10 +44,9 @@ def further(
     """The `content` of discovery.json with the evidence of new flights `data` multiplied to that of
     its names; `model` is the one beside it, `own` are effects besides the catalogue.
 
-    Raises `DataError` where a flight judged already or nothing has a name, `ModelError`,
-    `FitError`.
+    Raises `DataError` for flights that took part or no names, `ModelError`, `FitError`.
     """
-    _demand_new(content, data)
+    _demand_new(content, model, data)
     flights, told = _told(model, data, own)
     told_now = [_log_e(flights, told, effect, model) / LOG10 for effect in content["effects"]]
     alone = content.get("alone_log10_e", content["bar_log10_e"])
@@ -72,15 +72,15 @@ def further(
     }
 
 
-def _demand_new(content: DiscoveryDocument, data: Dataset) -> None:
-    """Raise `DataError` where the search has not ended, flights took part already, or nothing has a
-    name."""
-    taken = {*content["trained_on"], *content["tested_on"]}
-    if twice := sorted(taken & set(data.names)):
+def _demand_new(content: DiscoveryDocument, model: IdentifiedModel, data: Dataset) -> None:
+    """Raise `DataError` for a search without an end or names, or flights that took part in it."""
+    taken = {*content["trained_on"], *content["tested_on"]} & set(data.names)
+    taken |= {f.name for f in data if of_one_flight(f.known_by, model.trained_samples)}
+    if twice := sorted(taken):
         raise DataError(
             f"{', '.join(twice)} took part in the search already",
             expected="flights that did not",
-            fix="give new flights (a flight is known by its name)",
+            fix="give new flights, under names of their own",
         )
     if content["verdict"] == "stopped":
         raise DataError(

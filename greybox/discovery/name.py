@@ -149,7 +149,7 @@ def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
     """A name that did not hold beside laws, by the certificate that it has there."""
     e = f"log10 e {beside.log_e / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
     shown = replace(name, status="not certified", reason=f"next to the laws {e}", kept=False)
-    return replace(shown, certificate=beside, shares={}, unlikely={})
+    return replace(shown, certificate=beside, shares={}, elsewhere={}, unlikely={})
 
 
 def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) -> dict[str, float]:

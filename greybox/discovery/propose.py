@@ -134,7 +134,9 @@ class Scores:
             v = share * whole
             certain = np.sqrt((2 * bar + np.log1p(v)) * (v + 1)) / v
             size = float(self.sigma[i]) * max(certain, np.sqrt(RULES.trace * self.readings / whole))
-            if size <= max(self.upper[i] - self.null[i], self.null[i] - self.lower[i]):
+            if np.isfinite(size) and size <= max(
+                self.upper[i] - self.null[i], self.null[i] - self.lower[i]
+            ):
                 out[self.keys[i][0]] = size
         return out
 

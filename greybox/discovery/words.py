@@ -47,6 +47,7 @@ def first_line(found: Discovery) -> str:
     ]
     held = dict.fromkeys(u["channel"].split(".")[0] for u in found.unnamed() if not u["file"])
     kept = ", ".join(n.name for n in found.said("not certified") if n.kept)
+    traces = ", ".join(n.name for n in found.said("trace") if n.kept)
     told = found.model_verdict
     rough = f"{told.sentence}. " if told and told.refused else doubt(found.gap)
     if found.fit and not found.fit.converged:
@@ -54,10 +55,11 @@ def first_line(found: Discovery) -> str:
     rough += f"AGAINST THE FILE: {'; '.join(found.denied)}. " * bool(found.denied)
     what = f"MISSING: {'; '.join(names)}" if names else "nothing is missing that has a name"
     what += f"; in the model, not certified: {kept}" * bool(kept)
+    what += f"; in the model, a trace alone: {traces}" * bool(traces)
     what = rough + what
     if held:
         return f"{what}; without a name: {', '.join(held)}"
-    if names or kept:
+    if names or kept or traces:
         return f"{what}; nothing clear is left"
     least = list(found.minimum_detectable.items())[:3]
     seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
@@ -147,8 +149,10 @@ def with_size(name: Name, fit: Fit) -> Name:
     return replace(name, reason=": ".join(part for part in (", ".join(sizes), name.reason) if part))
 
 
-def stays(name: Name, why: str) -> Name:
-    """A trace that stays in the model."""
+def stays(name: Name, moved: Sequence[str]) -> Name:
+    """A trace that stays in the model, for these numbers would move without it, or errors grow."""
+    why = f"without it other numbers move ({', '.join(moved)})"
+    why = why if moved else "errors grow without it"
     return replace(name, kept=True, reason=f"{name.reason}; in the model: {why}")
 
 

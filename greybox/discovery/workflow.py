@@ -384,11 +384,12 @@ class _Run:
     def _without_traces(self, names: list[Name], at: Fitted) -> Judged:
         """The names, and the structure without causes that have none. Traces stay where what is
         said rests on them."""
-        keep = {*NAMED, *["trace"] * self.options.trace}
-        gone = {n.name for n in names if n.status not in keep and not n.kept}
-        traces = gone & {n.name for n in names if n.status == "trace"}
+        asked = self.options.trace
+        names = [replace(n, kept=n.kept or (asked and n.status == "trace")) for n in names]
+        gone = {n.name for n in names if n.status not in NAMED and not n.kept}
+        traces = {n.name for n in names if n.status == "trace" and not (n.worth and n.worth.harms)}
         bare = self.flights.fit(at.structure - gone, [at.known]) if gone else at
-        if not traces:
+        if not traces & gone:
             return names, bare
         whole = self.flights.fit(at.structure - (gone - traces), [at.known])
         old, new = self.held_out(bare), self.held_out(whole)
@@ -396,9 +397,7 @@ class _Run:
         moved = moved_names(names, self.settled(whole), bare)
         if not moved and (together is None or not together.matters):
             return names, bare
-        moves = f"without it other numbers move ({', '.join(moved)})"
-        why = moves if moved else "errors grow without it"
-        return [stays(n, why) if n.name in traces else n for n in names], whole
+        return [stays(n, moved) if n.name in traces & gone else n for n in names], whole
 
     def _beside_laws(self, names: list[Name], at: Fitted, laws: Fitted) -> Judged:
         """Names that fade next to the laws that won and are not needed there are none (they had

@@ -2,7 +2,7 @@
 
 A filter has no noise to weigh there. Errors of integration are then the only errors, every number
 is certain, and the search ends nowhere. So each such sensor gets the white noise of the best of its
-kind, and what is fitted, compared and judged is a flight as a good laboratory would log it.
+kind, and what is fitted and compared is a flight as a good laboratory would log it.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ BEST = 0.1
 """Noise of the best sensor of a kind over what is typical: motion capture of 0.1 mm, a gyro of
 0.1 deg/s."""
 NONE = 0.005
-"""Share of what is typical below which a channel has no noise: a simulator's have 0.003 and less,
-the smoothed velocity of an estimator (NanoBench) 0.007 and more."""
+"""Share of what is typical below which a channel has no noise: a simulator's have 0.003 and less at
+100 Hz, a gyro behind a low-pass at a tenth of the rate 0.011, an estimator's velocity 0.015."""
 WINDOW = 256
 """Samples of a window of the spectrum."""
-QUIET = 0.1
-"""Share of the spectrum that is quietest: motion hardly reaches it."""
+TINY = 1e-300
+"""A power that has a logarithm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +109,9 @@ def _has_none(sensor: Sensor, data: Dataset, vehicle: Vehicle) -> bool:
 
 
 def _level(column: FloatArray) -> float:
-    """Standard deviation of white noise whose spectrum is as high as the quietest part of this
-    one's; NaN of a record that is too short."""
+    """Standard deviation of white noise whose spectrum is as high as the upper half of this one's,
+    which motion hardly reaches, in the mean of its logarithm: what nobody can foretell of a sample
+    (Kolmogorov's formula), and a filter's stop band has some. NaN of a record that is too short."""
     x = column[np.isfinite(column)]
     n = min(WINDOW, x.size)
     if n < WINDOW // 4:
@@ -120,7 +121,8 @@ def _level(column: FloatArray) -> float:
     slope, start = np.polyfit(at, parts.T, 1)
     level = parts - start[:, None] - slope[:, None] * at
     power = (np.abs(np.fft.rfft(level * window)) ** 2).mean(axis=0) / (window**2).sum()
-    return float(np.sqrt(np.quantile(power[2:-1], QUIET)))
+    upper = power[power.size // 2 : -1]
+    return float(np.exp(0.5 * np.log(upper + TINY).mean()))
 
 
 def _noisy(flight: Flight, sensors: Sequence[Sensor], vehicle: Vehicle) -> Flight:

@@ -142,7 +142,8 @@ def _ratios(
     lost = {n: divergence(fitted, log, known[n]) for n, fitted in rivals.items()}
     own = lost.pop(truth)
     ratios = [max(v - own, 0.0) for v in lost.values()]
-    return [r if r > ROUNDED * max(own, 1.0) else 0.0 for r in ratios]
+    rounded = min(ROUNDED * max(own, 1.0), CLEAR_LOG_RATIO / 10)
+    return [r if r > rounded else 0.0 for r in ratios]
 
 
 def separating_manoeuvre(

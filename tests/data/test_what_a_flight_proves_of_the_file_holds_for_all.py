@@ -91,3 +91,21 @@ def test_a_doubt_becomes_the_fault_that_explains_it() -> None:
 def test_what_is_of_one_log_is_told_to_no_other() -> None:
     open_ = [replace(left("b"), check="alignment")]
     assert blocked(of_the_craft([found("a", kind="alignment")], open_, "ab")) == ["a"]
+
+
+def test_flights_that_contradict_each_other_prove_nothing_of_the_file() -> None:
+    mirrored = replace(found("a"), message="x and y are mirrored")
+    for said, told in (("turned by 90 deg", "ab"), ("x and y are mirrored", "abc")):
+        other = replace(found("b"), message=said)
+        assert blocked(of_the_craft([mirrored, other], [left("c")], "abc")) == list(told)
+    some = [
+        replace(found(n), message=f"turned by {d} deg; of 3") for n, d in (("a", 89), ("b", 91.5))
+    ]
+    assert blocked(of_the_craft(some, [left("c")], "abc")) == ["a", "b", "c"]
+
+
+def test_a_flight_of_which_the_same_check_warns_shows_nothing_right() -> None:
+    open_ = [replace(left("c"), check="motion")]
+    doubt = replace(found("b", "warning", "motion"), where="elsewhere")
+    assert blocked(of_the_craft([found("a", kind="motion"), doubt], open_, "abc")) == ["a", "c"]
+    assert blocked(of_the_craft([found("a", kind="motion")], open_, "abc")) == ["a"]

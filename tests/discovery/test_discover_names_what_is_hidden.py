@@ -168,6 +168,8 @@ def test_further_flights_multiply_the_evidence_either_way(
     assert against["verdict"] == "nothing_missing"
     with pytest.raises(DataError, match="took part"):
         further(content, found.model, small_world.flown(DAMPING, seeds=(11,), name="test"))
+    with pytest.raises(DataError, match="copy0 took part"):
+        further(content, found.model, small_world.flown(DAMPING, seeds=(1,), name="copy"))
 
 
 @pytest.mark.slow

@@ -13,7 +13,14 @@ from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import Certificate, Whole
 from greybox.discovery.evidence import Fitted, Flights, problem_of
-from greybox.discovery.name import Name, held, impossible, judged, with_values_elsewhere
+from greybox.discovery.name import (
+    Name,
+    held,
+    impossible,
+    judged,
+    unneeded,
+    with_values_elsewhere,
+)
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import RULES
 from greybox.discovery.search import Rival
@@ -219,6 +226,20 @@ def test_a_trace_says_how_large_it_is():
     assert "it is there" in trace.reason
     name = judged(found, None, "", BAR, ALPHA)
     assert with_size(name, fit) is name
+
+
+def test_a_set_that_is_not_needed_beside_laws_is_told_without_its_like():
+    flights = small_world.damped()
+    fit = flights.settled(flights.fit({"rotational_damping"}))
+    two = set_of_two(fit.parameters["rotational_damping.d_p"].value + 1.0, fit)
+    alone = unneeded(two, certificate(nothing=1.0), BAR)
+    found = Discovery(
+        verdict="unnamed", names=(alone,), fit=fit, bar=BAR, omega_known=False, seconds=0.0
+    )
+    assert "next to the laws" in found.summary()
+    assert found.numbers_of("rotational_damping")["d_p"]["std"] == pytest.approx(
+        fit.parameters["rotational_damping.d_p"].std
+    )
 
 
 def test_numbers_that_stay_within_their_errors_are_not_told_twice():

@@ -4,9 +4,13 @@ it stays: its numbers would be taken up by a name that was judged beside it."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
 
 from greybox.discovery.rules import RULES
 from greybox.discovery.words import moved_names, stays
+from greybox.discovery.workflow import _Run
 from greybox.validation.worth import worth
 from tests.discovery import small_world
 from tests.discovery.test_names_matter_and_are_possible import (
@@ -46,8 +50,33 @@ def test_a_name_that_moves_without_the_trace_is_told():
 
 def test_it_stays_in_the_model_without_a_name_and_says_why():
     _, trace = names_of_two()
-    kept = stays(trace, "without it other numbers move (rotational_damping.d_p)")
+    kept = stays(trace, ["rotational_damping.d_p"])
     assert (kept.status, kept.kept) == ("trace", True)
     assert kept.reason.endswith(
         "in the model: without it other numbers move (rotational_damping.d_p)"
     )
+
+
+@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize(("moved", "grown"), [(10.0, 0.0), (0.0, 0.1), (0.0, 0.0)])
+def test_a_trace_leaves_only_where_nothing_that_is_said_rests_on_it(
+    moved: float, grown: float, asked: bool
+):
+    flights = small_world.damped()
+    whole = flights.fit({"rotational_damping", "gyro_bias"})
+    fit = flights.settled(whole)
+    bare = flights.fit({"rotational_damping"})
+    place = [u.name for u in bare.space.unknowns].index("rotational_damping.d_p")
+    own, theta = fit.parameters["rotational_damping.d_p"], bare.theta.copy()
+    theta[place] = own.value + moved * own.std
+    told = {whole.structure: whole, bare.structure: replace(bare, theta=theta)}
+    run = SimpleNamespace(
+        options=SimpleNamespace(trace=asked),
+        flights=SimpleNamespace(fit=lambda structure, _starts: told[frozenset(structure)]),
+        held_out=lambda at: foresight(1.0 + grown * (at.structure == bare.structure)),
+        settled=lambda _at: fit,
+    )
+    names, at = _Run._without_traces(run, names_of_two(), whole)
+    stay = asked or moved > 0 or grown > 0
+    assert at.structure == (whole if stay else bare).structure
+    assert names[1].kept is stay and names[1].status == "trace"

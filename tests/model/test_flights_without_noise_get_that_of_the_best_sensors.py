@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from greybox.data import Dataset, Flight
 from greybox.data.segment import Segment
@@ -96,6 +97,19 @@ def test_a_sensor_with_a_fiftieth_of_what_is_typical_has_noise() -> None:
     quiet = {n: segment.channels[n] + 4e-4 * random.standard_normal(segment.n) for n in "pqr"}
     _, sensors = added_to(Flight(name="one", segments=(segment.replace(quiet),)), vehicle())
     assert "gyro" not in sensors
+
+
+@pytest.mark.parametrize(("cut", "rate"), [(10, 100), (20, 200), (30, 250)])
+def test_a_gyro_behind_a_low_pass_has_noise(cut: float, rate: float) -> None:
+    flight, random = smooth(20.0, 1 / rate), np.random.default_rng(3)
+    segment = flight.segments[0]
+    low_pass = butter(2, cut / (rate / 2))
+    filtered = {
+        n: segment.channels[n] + lfilter(*low_pass, 0.02 * random.standard_normal(segment.n))
+        for n in "pqr"
+    }
+    _, sensors = added_to(Flight(name="one", segments=(segment.replace(filtered),)), vehicle())
+    assert "gyro" not in sensors and "position" in sensors
 
 
 def test_it_is_the_same_noise_each_time_and_another_in_each_flight() -> None:

@@ -7,6 +7,7 @@ shows it right the file is, and a flight too calm to see that would be fitted to
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ from greybox.data.checks.finding import Finding, Unjudged
 from greybox.data.checks.motors import PARTS
 
 MOTORS = "motors"
-"""A flight of which this check says anything shows nothing of its right."""
+"""A flight of which this check, or the one that blocks, says anything shows nothing of its right."""
 OF_THE_FILE = ("motion", "attitude", "acceleration", MOTORS, "rotor_speeds", "thrust")
 """Checks of what the vehicle file says of all flights. Clocks, gaps and jumps are of one log, and so
 is what a single sensor shows of its own unit."""
@@ -32,7 +33,10 @@ def of_the_craft(
     out = list(findings)
     for where, said in proved.items():
         asked = [u for u in unjudged if u.check == said[0].check and _asks(u, where)]
-        odd = [f for f in findings if f.check == MOTORS and f.severity != "info"]
+        if len({_claim(f) for f in said}) > 1:
+            continue  # flights contradict each other: no file does that
+        ill = (MOTORS, said[0].check)
+        odd = [f for f in findings if f.check in ill and f.severity != "info"]
         doubts = [f for f in odd if f.severity == "warning" and f.where == where]
         named = {f.flight for f in said}
         others = [n for n in flights if n not in named]
@@ -43,6 +47,11 @@ def of_the_craft(
         out = [f for f in out if f not in doubts or f.flight in named]
         out += [replace(said[0], flight=n, message=_by_others(said)) for n in silent]
     return tuple(out)
+
+
+def _claim(found: Finding) -> str:
+    """What it says, without its numbers."""
+    return re.sub(r"[-+]?\d[\d.]*", "#", found.message.partition("; ")[0])
 
 
 def _asks(left: Unjudged, where: str) -> bool:
