@@ -23,7 +23,7 @@ from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
 from greybox.commands.discover_folder import SearchFolder
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.going_on import going_on
+from greybox.commands.going_on import demand_source_stays, going_on
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
@@ -184,6 +184,7 @@ def _check(arguments: argparse.Namespace, out: Path) -> None:
     if arguments.executor is not None:
         host_of(arguments.executor)
     demand_adapt(arguments)
+    demand_source_stays(arguments.since, out)
     need_mcap(arguments.mcap)
     if arguments.folder is not None:
         if arguments.mcap:

@@ -21,7 +21,7 @@ from greybox.commands.console import Console, json_option
 from greybox.commands.fit_flights import Job, begun
 from greybox.commands.fit_said import lines, recipe_of, report, save, with_pushes
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.going_on import going_on
+from greybox.commands.going_on import demand_source_stays, going_on
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
@@ -111,6 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle import read_vehicle
 
     _check(arguments)
+    demand_source_stays(arguments.source, Path(arguments.out))
     if arguments.model_file is not None:
         return run_own(arguments)
     console, vehicle = Console.of(arguments), read_vehicle(arguments.vehicle)

@@ -44,6 +44,18 @@ def going_on(
             raise
 
 
+def demand_source_stays(source: str | None, out: Path) -> None:
+    """Raise `GreyboxError` where the results in `out` would write over the model that the command
+    starts from: the same command again would start from what it made."""
+    from greybox.errors import GreyboxError
+
+    if source is not None and Path(source).resolve() == (out / "model.json").resolve():
+        raise GreyboxError(
+            f"{source}: the results would write over the model that --from names",
+            fix="another --out",
+        )
+
+
 def given(arguments: argparse.Namespace) -> dict[str, str]:
     """What the result of a command depends on, name -> text or checksum: its options, the files
     that they name (wherever these lie), the code of greybox and of others' programs, the

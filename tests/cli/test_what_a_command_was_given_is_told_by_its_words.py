@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import pytest
+
+from greybox.cli import main
 from greybox.commands.going_on import given
 
 
@@ -29,3 +32,20 @@ def test_the_content_of_a_file_counts_and_not_where_it_lies(tmp_path: Path) -> N
         place.write_text(text)
         told.append(given(argparse.Namespace(train=[str(place)])))
     assert told[0] == told[1] != told[2]
+
+
+@pytest.mark.parametrize("command", [["fit", "--vehicle", "v.toml"], ["discover"]])
+def test_results_do_not_write_over_the_model_that_they_start_from(
+    command: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("model.json").write_text("{}")
+    words = [*command, "--train", "a.csv", "--from", "model.json", "--out"]
+    assert main([*words, "."]) == 2
+    assert "write over the model that --from names" in capsys.readouterr().err
+    assert Path("model.json").read_text() == "{}"
+    assert main([*words, "other"]) == 2  # there is no such log
+    assert "write over" not in capsys.readouterr().err
