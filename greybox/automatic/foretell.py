@@ -34,7 +34,7 @@ SPACING = 0.05
 """Seconds between origins: neighbours tell the same."""
 SETTLE = 1.0
 """Seconds at the start of a piece in which the filter finds its state."""
-LEAST = (2.5 * HORIZONS[-1] + 2 * SPACING) / 0.75
+LEAST = (2.5 * HORIZONS[-1] + SPACING) / 0.75
 """Length of a piece [s] below which it has no two blocks, so that no score has an error: a quarter
 settles where it is short, and a block and a half of the longest horizon come before that."""
 WORST = 100.0

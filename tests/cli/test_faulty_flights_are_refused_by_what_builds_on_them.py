@@ -148,8 +148,9 @@ def test_learn_begins_with_what_is_gained_over_the_physics(capsys):
     lines = capsys.readouterr().out.splitlines()
     content = json.loads(Path("hybrid/learn.json").read_text())
     beside, verdict = content["against_physics"], content["verdict"]
-    first = [verdict["line"], beside["line"]] if code else [beside["line"], verdict["line"]]
-    assert lines[:2] == first
+    at = lines.index(verdict["line"]), lines.index(beside["line"])
+    assert min(at) == 0 and (at[0] < at[1]) is bool(code)
+    assert at[1] <= 1 + len(verdict["why"])  # the reasons of a refusal stand between
     assert beside["says"] in ("better", "not clear", "worse")
     assert "than the physics alone (fit/model.json): " in beside["line"]
     assert {c["group"] for c in beside["changes"]} == {"rotation", "rate"}
