@@ -112,16 +112,14 @@ def _level(column: FloatArray) -> float:
     """Standard deviation of white noise whose spectrum is as high as the upper half of this one's,
     which motion hardly reaches, in the mean of its logarithm: what nobody can foretell of a sample
     (Kolmogorov's formula), and a filter's stop band has some. NaN of a record that is too short."""
+    from scipy.signal import welch
+
     x = column[np.isfinite(column)]
     n = min(WINDOW, x.size)
     if n < WINDOW // 4:
         return float("nan")
-    window, at = np.hanning(n), np.arange(n)
-    parts = np.array([x[i : i + n] for i in range(0, x.size - n + 1, max(n // 2, 1))])
-    slope, start = np.polyfit(at, parts.T, 1)
-    level = parts - start[:, None] - slope[:, None] * at
-    power = (np.abs(np.fft.rfft(level * window)) ** 2).mean(axis=0) / (window**2).sum()
-    upper = power[power.size // 2 : -1]
+    _, power = welch(x, window=np.hanning(n), noverlap=n // 2, detrend="linear")
+    upper = power[power.size // 2 : -1] / 2  # of both sides
     return float(np.exp(0.5 * np.log(upper + TINY).mean()))
 
 
