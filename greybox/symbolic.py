@@ -162,7 +162,7 @@ def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
     for at in range(0, n, CHUNK):
         size = min(CHUNK, n - at)
         # The function reads and writes the arrays where they are: columns of CasADi are rows here.
-        buffer, run = _mapped(function, size).buffer()
+        buffer, run = mapped(function, size).buffer()
         for i, a in enumerate(wide):
             buffer.set_arg(i, a[at : at + size].data)
         buffer.set_res(0, out[at : at + size].data)
@@ -171,5 +171,6 @@ def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=64)
-def _mapped(function: ca.Function, n: int) -> Expr:
+def mapped(function: ca.Function, n: int) -> Expr:
+    """A function of n samples beside each other; what was made before is known."""
     return function.map(n)

@@ -11,7 +11,7 @@ it keeps is therefore compared with every stretch of flight that is as long.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -47,21 +47,33 @@ class Motion:
         """The rows of these times [s]."""
         return slice(*np.searchsorted(self.t, [first, last]).tolist())
 
-    def late(self, lag: float) -> Motion:
-        """The same with what drives the craft later by a lag [s]."""
+    def asked(self, lag: float) -> FloatArray:
+        """What is asked (N, n) from the first row on, `lag` [s] after what drives the craft."""
         columns = [np.interp(self.t - lag, self.t, column) for column in self.squared.T]
-        return replace(self, squared=np.column_stack(columns))
-
-    def piece(self, rows: slice) -> tuple[FloatArray, FloatArray]:
-        """(what is asked (M, n), what turned (M, 3)) in these rows, each without what a constant
-        torque and an unknown start add."""
-        t, asked = self.t[rows], self.squared[rows]
+        asked = np.column_stack(columns)
         for _ in range(self.order):
-            asked = np.cumsum(asked * np.diff(t, prepend=t[0])[:, None], axis=0)
+            asked = np.cumsum(asked * np.diff(self.t, prepend=self.t[0])[:, None], axis=0)
+        return asked
+
+    def piece(self, rows: slice) -> Piece:
+        """These rows alone."""
+        t = self.t[rows]
         beside = np.vander((t - t[0]) / (t[-1] - t[0]), self.order + 1)
-        basis = np.linalg.qr(beside)[0]
-        asked, turned = (v - basis @ (basis.T @ v) for v in (asked, self.turned[rows]))
-        return asked, turned
+        return Piece(rows=rows, beside=np.linalg.qr(beside)[0])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Piece:
+    """Some rows of a motion, where a constant torque and an unknown start add what `beside` (M,
+    order + 1) spans."""
+
+    rows: slice
+    beside: FloatArray
+
+    def of(self, values: FloatArray) -> FloatArray:
+        """Values (N, k) in these rows, without what is beside them, (M, k)."""
+        own = values[self.rows]
+        return np.asarray(own - self.beside @ (self.beside.T @ own))
 
 
 def motion_of(
@@ -99,11 +111,13 @@ def stiller_than_in_flight(
     width = max(1, round(MEAN * count / length))
     if len(others) < FEWEST or count < 3 * width:
         return False
+    flown = [motion.piece(r) for r in others]
+    moved = [p.of(motion.turned) for p in flown]
     _, gains, late = min(
-        (_fitted(m, others) for m in map(motion.late, LAGS.tolist())), key=lambda f: f[0]
+        (_fitted(motion.asked(lag), flown, moved) for lag in LAGS.tolist()), key=lambda f: f[0]
     )
-    asked, turned = late.piece(rows)
-    wanted = asked @ gains
+    here = motion.piece(rows)
+    wanted, turned = here.of(late) @ gains, here.of(motion.turned)
     size = float((wanted**2).sum())
     if not size > 0.0:
         return False
@@ -111,18 +125,19 @@ def stiller_than_in_flight(
     error = float(np.sqrt(((turned - followed * wanted) ** 2).mean() / size))
     if followed + CLEAR * error > FOLLOWS:
         return False
-    usual = min(_share(a @ gains, moved, width)[0] for a, moved in map(late.piece, others))
+    usual = min(_share(p.of(late) @ gains, m, width)[0] for p, m in zip(flown, moved, strict=True))
     share, error = _share(wanted, turned, width)
     return share + CLEAR * error < usual
 
 
-def _fitted(motion: Motion, flown: Sequence[slice]) -> tuple[float, FloatArray, Motion]:
-    """(what is left of the squared motion in these rows, gains (n, 3) with which it follows what is
-    asked, the motion)."""
-    pieces = [motion.piece(r) for r in flown]
-    asked, turned = (np.vstack(part) for part in zip(*pieces, strict=True))
-    gains = np.linalg.lstsq(asked, turned, rcond=None)[0]
-    return float(((turned - asked @ gains) ** 2).sum()), gains, motion
+def _fitted(
+    asked: FloatArray, flown: Sequence[Piece], moved: Sequence[FloatArray]
+) -> tuple[float, FloatArray, FloatArray]:
+    """(what is left of the squared motion `moved` in these pieces, gains (n, 3) with which it
+    follows what is `asked` (N, n), this)."""
+    wanted, turned = np.vstack([p.of(asked) for p in flown]), np.vstack(moved)
+    gains = np.asarray(np.linalg.lstsq(wanted, turned, rcond=None)[0], dtype=np.float64)
+    return float(((turned - wanted @ gains) ** 2).sum()), gains, asked
 
 
 def _share(wanted: FloatArray, turned: FloatArray, width: int) -> tuple[float, float]:

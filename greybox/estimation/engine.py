@@ -26,7 +26,7 @@ from greybox.estimation.cache import say
 from greybox.estimation.reference_point import chart_jacobians, reference_step, symbols
 from greybox.estimation.tape_cache import linears
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import CASADI, FloatArray, evaluate
+from greybox.symbolic import CASADI, FloatArray, evaluate, mapped
 
 IntArray = npt.NDArray[np.int32]
 Whole = npt.NDArray[np.integer[Any]]
@@ -604,36 +604,46 @@ class Engine:
         )
 
     def _windows_vm(self, runs: _OpenRuns) -> int:
-        pattern, one = np.zeros(max(runs.length), dtype=np.int32), np.ones(1, dtype=np.int32)
-        none = GainTable(gain=np.zeros((1, self.nd, self.ne)), zero=one)
-        width, at = self.past + self.future, 0
-        for i, (k, n, keep) in enumerate(zip(runs.first, runs.length, runs.tail, strict=True)):
-            run = self.run(
-                x0=runs.x[i],
-                inputs=runs.u[k : k + n + width],
-                outputs=runs.y[k : k + n],
-                mask=runs.mask[k : k + n],
-                pattern=pattern[:n],
-                gains=none,
-                p=runs.p,
-                dt=runs.dt,
-                s0=None if runs.s is None else runs.s[i],
-                want=frozenset({"innovations", "sensitivity"}),
+        """All windows together, a sample at a time; one that stops being finite is left where it
+        was."""
+        step = np.arange(runs.length.max(initial=0))
+        wanted = step >= (runs.length - runs.tail)[:, None]
+        wanted &= step < runs.length[:, None]
+        if runs.asked is not None:
+            wanted &= runs.asked != 0
+        # Where the innovations of each window and sample go: in the order of both.
+        place = np.cumsum(wanted).reshape(wanted.shape) - 1
+        width, na = np.arange(self.past + 1 + self.future), len(self.active)
+        well = np.ones(len(runs.first), dtype=bool)
+        for t in step.tolist():
+            live = np.flatnonzero((runs.length > t) & well)
+            rows, keep, m = runs.first[live] + t, wanted[live, t], live.size
+            if not m:
+                break
+            at = (
+                runs.x[live].T,
+                runs.u[rows[:, None] + width].transpose(2, 0, 1).reshape(self.nu, -1),
+                runs.y[rows].T,
+                np.repeat(runs.p[:, None], m, axis=1),
+                np.full((1, m), runs.dt),
             )
-            if run.failed_at is not None:
-                return 1 + i
-            runs.x[i] = run.end
-            assert run.innovations is not None
-            kept = np.arange(n - keep, n)
-            if runs.asked is not None:
-                kept = kept[runs.asked[kept] != 0]
-            into = slice(at, at + kept.size)
-            runs.e[into] = run.innovations[kept]
-            if runs.s is not None and runs.de is not None and run.sensitivity is not None:
-                runs.s[i] = run.end_sensitivity
-                runs.de[into] = run.sensitivity[kept]
-            at = into.stop
-        return 0
+            after, e, _ = (v.full().T for v in mapped(self.value, m)(*at))
+            seen = runs.mask[rows] != 0
+            runs.e[place[live[keep], t]] = (e * seen)[keep]
+            if runs.s is not None and runs.de is not None:
+                s = runs.s[live]
+                a, b, ex, ep = (
+                    v.full().reshape(v.shape[0], m, -1).transpose(1, 0, 2)
+                    for v in mapped(self.slope, m)(*at)
+                )
+                de, moved = ex @ s, a @ s
+                de[:, :, :na] += ep[:, :, self.columns]
+                moved[:, :, :na] += b[:, :, self.columns]
+                runs.de[place[live[keep], t]] = (de * seen[:, :, None])[keep]
+                runs.s[live] = moved
+            runs.x[live] = after
+            well[live] = np.isfinite(after).all(axis=1)
+        return 0 if well.all() else 1 + int(np.argmin(well))
 
     def rollout(
         self,
@@ -677,7 +687,7 @@ class Engine:
             )
             return y, states
         width = self.past + 1 + self.future
-        step = self.pred.map(m)
+        step = mapped(self.pred, m)
         x = starts.T
         for h in range(horizon):
             windows = np.concatenate([u[k + h : k + h + width].T for k in rows], axis=1)

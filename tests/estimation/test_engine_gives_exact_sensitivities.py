@@ -289,6 +289,44 @@ def test_a_value_that_is_there_has_influence(medium):
     assert np.abs(moved.end - before.end).max() > 1e-8
 
 
+def windows(engine, scene, **more):
+    """Open-loop runs of uneven length, of which the ends of some are kept."""
+    rows, lengths, tails = np.array([0, 3, 7, 9]), np.array([12, 5, 8, 1]), np.array([4, 5, 1, 0])
+    x = scene.run(engine).states[rows]
+    inputs = engine.padded_inputs(scene.u)
+    given = {"starts": x, "rows": rows, "inputs": inputs, "lengths": lengths, "tails": tails}
+    given |= {"outputs": scene.y, "mask": scene.mask, "p": scene.p, "dt": DT}
+    return engine.windows(**given | more)
+
+
+@needs_compiler
+@pytest.mark.parametrize("steps", [None, np.array([0, 4, 9])])
+def test_compiled_and_virtual_machine_agree_on_many_short_runs(medium, steps):
+    engine, scene = medium
+    plain = engine_for(engine.dynamics, engine.active, use_compiler=False)
+    rng = np.random.default_rng(0)
+    s0 = rng.standard_normal((4, engine.nd, len(engine.active) + 2))
+    for start in (None, s0):
+        a, b = (windows(e, scene, s0=start, steps=steps) for e in (engine, plain))
+        for name in ("innovations", "sensitivity", "ends", "end_sensitivity"):
+            got, expected = getattr(a, name), getattr(b, name)
+            assert (got is None) == (expected is None)
+            if got is not None:
+                assert got.shape == expected.shape
+                np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-11, err_msg=name)
+
+
+@pytest.mark.parametrize("use_compiler", [pytest.param(True, marks=needs_compiler), False])
+def test_the_first_short_run_that_stops_being_finite_is_named(medium, use_compiler):
+    engine = engine_for(medium[0].dynamics, medium[0].active, use_compiler=use_compiler)
+    scene = medium[1]
+    u = engine.padded_inputs(scene.u)
+    assert windows(engine, scene).failed_in is None
+    u[engine.past + 10] = np.nan
+    # Runs 0 and 2 see it; the second sooner after its start.
+    assert windows(engine, scene, inputs=u).failed_in == 0
+
+
 @pytest.mark.parametrize("use_compiler", [pytest.param(True, marks=needs_compiler), False])
 def test_a_run_that_corrects_nothing_is_a_rollout(medium, use_compiler):
     engine = engine_for(medium[0].dynamics, medium[0].active, use_compiler=use_compiler)

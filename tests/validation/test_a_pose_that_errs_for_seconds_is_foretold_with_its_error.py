@@ -66,8 +66,8 @@ def white(sigma: float):
 
 
 def test_the_model_that_knows_of_it_is_as_near_as_the_measured_imu_and_says_how_near():
-    found = validate(knowing(TIME, "position"), dataset(flown()), use_compiler=False)
-    blind = validate(white(0.1), dataset(flown()), use_compiler=False)
+    found = validate(knowing(TIME, "position"), dataset(flown()))
+    blind = validate(white(0.1), dataset(flown()))
     own, taken = found.table.groups["position"], blind.table.groups["position"]
     assert own.mae[9] < 1.05 * found.dead_reckoning.groups["position"].mae[9]
     assert own.mae[9] < 0.5 * taken.mae[9]
@@ -76,8 +76,7 @@ def test_the_model_that_knows_of_it_is_as_near_as_the_measured_imu_and_says_how_
 
 def test_noise_that_lasts_no_sample_leaves_the_numbers_of_white_noise():
     tables = [
-        validate(m, dataset(flown()), use_compiler=False).table
-        for m in (white(SIGMA), knowing(1e-3, "position"))
+        validate(m, dataset(flown())).table for m in (white(SIGMA), knowing(1e-3, "position"))
     ]
     for group in ("position", "velocity", "rotation", "rate"):
         a, b = (t.groups[group] for t in tables)
@@ -93,7 +92,7 @@ def test_one_sample_ahead_the_error_is_the_innovation(group: str):
         "rate": ("gyro", slice(6, 9)),
     }[group]
     model, segment = knowing(2.0, sensor, sigma=0.001), flown(every=1, seconds=4.0)
-    runner, reader = Filter(model, use_compiler=False), GroupReader(model)
+    runner, reader = Filter(model), GroupReader(model)
     run = runner.run(segment)
     origins = np.arange(50, 300)
     ahead = predict_from(runner.engine, reader, run, origins, steps=1)[group][:, 0]
@@ -106,9 +105,9 @@ def test_regions_that_are_too_narrow_are_said_to_be():
     sure = replace(white(1e-3), sensor_noise=np.append([1e-4] * 3, white(1e-3).sensor_noise[3:]))
     sure = replace(sure, process_noise=0.01 * sure.process_noise)
     segment = flown(every=1, seconds=8.0)
-    told = validate(sure, dataset(segment), use_compiler=False).format()
+    told = validate(sure, dataset(segment)).format()
     assert "too narrow: the stated 95 % regions hold position" in told
-    held = validate(white(1.0), dataset(segment), use_compiler=False).format()
+    held = validate(white(1.0), dataset(segment)).format()
     assert "hold position" not in held
 
 

@@ -66,7 +66,7 @@ def fly(
     """A flight that obeys the model exactly, with white sensor noise of `noise` times the model's
     levels."""
     rng = np.random.default_rng(seed)
-    engine = engine_for(model.dynamics, (), use_compiler=False)
+    engine = engine_for(model.dynamics, ())
     u = 0.849 + 0.003 * np.sin(
         np.arange(n)[:, None] * DT * rng.uniform(2, 9, 4) + rng.uniform(0, 6, 4)
     )
@@ -98,7 +98,7 @@ def dataset(*segments: Segment) -> Dataset:
 
 def test_the_true_model_predicts_its_own_flight_exactly() -> None:
     model = make_model()
-    result = validate(model, dataset(fly(model, 200)), measured_start=True, use_compiler=False)
+    result = validate(model, dataset(fly(model, 200)), measured_start=True)
     assert set(result.table.groups) == {"position", "velocity", "rotation", "rate"}
     for table in (result.table, result.measured_start):
         # The velocity starts from a line through the first tenth of a second of positions: not
@@ -121,7 +121,7 @@ def test_a_prediction_does_not_change_with_later_measurements() -> None:
         for n, v in segment.channels.items()
         if not n.startswith("u")
     }
-    filt, reader = Filter(model, use_compiler=False), GroupReader(model)
+    filt, reader = Filter(model), GroupReader(model)
     both = [
         predict_from(filt.engine, reader, filt.run(s), np.array([60, 80]), steps=50)
         for s in (segment, segment.replace(later))
@@ -134,7 +134,7 @@ def test_origins_do_not_cross_a_gap() -> None:
     model = make_model()
     whole = fly(model, 250, noise=1.0)
     parts = whole.rows(0, 120), whole.rows(130, 250)
-    result = validate(model, dataset(*parts), use_compiler=False)
+    result = validate(model, dataset(*parts))
     assert result.table.groups["rate"].origins == 2 * (120 - 50 - 9)
     assert result.table.groups["rate"].n[49] == 2 * (120 - 50 - 9)
 
@@ -144,7 +144,7 @@ def test_a_missing_sample_takes_its_origins_with_it() -> None:
     segment = fly(model, 200, noise=1.0)
     x = np.array(segment.channels["x"])
     x[100] = np.nan
-    result = validate(model, dataset(segment.replace({"x": x})), use_compiler=False)
+    result = validate(model, dataset(segment.replace({"x": x})))
     assert result.table.groups["position"].left_out == 51
     assert result.table.groups["rate"].left_out == 0
 
@@ -158,7 +158,7 @@ def test_drop_outs_here_and_there_take_no_group_from_the_verdict(share: float) -
     model = make_model()
     segment = fly(model, 400, noise=1.0)
     lost = np.random.default_rng(0).random(400) < share
-    result = validate(model, dataset(without_samples(segment, lost)), use_compiler=False)
+    result = validate(model, dataset(without_samples(segment, lost)))
     assert {"position", "rotation", "rate"} <= set(result.table.groups)
     assert result.table.unjudged == ()
     assert any("are left out" in w for w in result.warnings)
@@ -175,7 +175,7 @@ def test_a_pose_that_is_slower_than_the_imu_is_judged_at_every_horizon(
     model = make_model()
     lost = np.arange(600) % slower != first
     flight = dataset(without_samples(fly(model, 600, noise=1.0), lost))
-    result = validate(model, flight, every=every, use_compiler=False)
+    result = validate(model, flight, every=every)
     assert {g.name for g in result.verdict.groups} >= {"position", "rotation", "rate"}
     for group in ("position", "rotation"):
         counts = result.table.groups[group].n[:50]
@@ -201,7 +201,7 @@ def test_smoothed_channels_are_a_reference_and_never_a_measurement() -> None:
     model = make_model()
     segment = fly(model, 150, noise=1.0)
     quiet = segment.replace({n: np.full(150, np.nan) for n in ("vx", "vy", "vz")})
-    with_v, without = (validate(model, dataset(s), use_compiler=False) for s in (segment, quiet))
+    with_v, without = (validate(model, dataset(s)) for s in (segment, quiet))
     assert "velocity" in with_v.table.groups
     assert "velocity" not in without.table.groups
     np.testing.assert_array_equal(
@@ -212,7 +212,7 @@ def test_smoothed_channels_are_a_reference_and_never_a_measurement() -> None:
         model, dynamics=replace(model.dynamics, sensors=sensors), sensor_noise=np.full(15, 0.1)
     )
     with pytest.raises(ModelError, match="vx"):
-        validate(wrong, dataset(segment), use_compiler=False)
+        validate(wrong, dataset(segment))
 
 
 def test_measured_start_puts_the_measured_values_into_the_state() -> None:
@@ -221,7 +221,7 @@ def test_measured_start_puts_the_measured_values_into_the_state() -> None:
     from greybox.validation.groups import GROUPS, error_norms
 
     segment = fly(model, 120, noise=3.0)
-    reader, filtered = GroupReader(model), Filter(model, use_compiler=False).run(segment)
+    reader, filtered = GroupReader(model), Filter(model).run(segment)
     references = {
         g: segment.matrix(GROUPS[g].columns) for g in ("position", "velocity", "rotation", "rate")
     }
@@ -238,10 +238,10 @@ def test_adaptation_finds_the_bias_of_a_flight_and_judges_after_it() -> None:
     model = make_model()
     bias = {"accelerometer_bias.b_x": 0.25, "accelerometer_bias.b_y": -0.1}
     data = dataset(fly(model, 400, noise=1.0, changes=bias))
-    found = adapt_to_flight(model, data["f"], 2.0, use_compiler=False)
+    found = adapt_to_flight(model, data["f"], 2.0)
     for name, value in bias.items():
         assert abs(found.values[name] - value) < 4 * found.std[name] < 0.1
-    result = validate(model, data, adapt=2.0, use_compiler=False)
+    result = validate(model, data, adapt=2.0)
     assert result.table.groups["position"].origins == 400 - 200 - 50
     assert result.one_step["ax"].n == 200
     cell = result.to_dict()["adapted_on"]["flights"]["f"]["accelerometer_bias.b_x"]
@@ -304,7 +304,7 @@ def test_a_setpoint_elsewhere_is_no_extrapolation_and_a_faster_rate_is() -> None
 
 def test_longer_horizons_than_fifty_use_the_origins_that_reach_them() -> None:
     model = make_model()
-    result = validate(model, dataset(fly(model, 160)), horizon_samples=(1, 100), use_compiler=False)
+    result = validate(model, dataset(fly(model, 160)), horizon_samples=(1, 100))
     rate = result.table.groups["rate"]
     assert rate.origins == 110 - 9
     assert rate.n[99] == 60 - 9
@@ -315,15 +315,15 @@ def test_wrong_requests_are_refused() -> None:
     model = make_model()
     data = dataset(fly(model, 120))
     with pytest.raises(DataError, match="horizons"):
-        validate(model, data, horizons=(0,), use_compiler=False)
+        validate(model, data, horizons=(0,))
     with pytest.raises(DataError, match="horizon_samples"):
-        validate(model, data, horizons=(1, 10, 50), use_compiler=False)
+        validate(model, data, horizons=(1, 10, 50))
     with pytest.raises(DataError, match="whole numbers"):
-        validate(model, data, horizon_samples=(0,), use_compiler=False)
+        validate(model, data, horizon_samples=(0,))
     with pytest.raises(DataError, match="sampled every"):
-        validate(replace(model, sample_time=0.02), data, use_compiler=False)
+        validate(replace(model, sample_time=0.02), data)
     with pytest.raises(DataError, match="50 steps"):
-        validate(model, dataset(fly(model, 40)), use_compiler=False)
+        validate(model, dataset(fly(model, 40)))
 
 
 def main(arguments: list[str]) -> int:

@@ -188,7 +188,7 @@ def mixed(given: Reading, other: Reading, spans: Spans, dt: float, lag: float) -
     which, starts = found
     y, *x = (
         spans.without_bias(v, which)
-        for v in (given.y[which], *(spans.over(r.x, late, which) for r in (given, other)))
+        for v in (given.y[which], *(spans.among(r.x, late, which) for r in (given, other)))
     )
     # The way between two readings is not one between sizes: a position in mm is no other frame.
     size = float(np.sqrt((x[0] ** 2).sum() / max(float((y**2).sum()), 1e-300)))
@@ -251,21 +251,19 @@ def _around(
 def _centre(reading: Reading, spans: Spans, dt: float) -> float:
     """The delay [s] around which blocks look for theirs: none, unless one of the whole flight
     leaves far less than those near none."""
-    known, alike = np.isfinite(reading.y).all(axis=1), []
-    lags = _lags(dt, FARTHEST, step=COARSE)
-    least = 0.5 * float((known & spans.known(reading.x, 0)).sum())
-    for lag in lags.tolist():
+    known, lags = np.isfinite(reading.y).all(axis=1), _lags(dt, FARTHEST, step=COARSE)
+    least = max(20.0, 0.5 * float((known & spans.known(reading.x, 0)).sum()))
+    cross, size = np.zeros((lags.size, 3, 3)), np.full(lags.size, np.inf)
+    for i, lag in enumerate(lags.tolist()):
         which = np.flatnonzero(known & spans.known(reading.x, lag))
-        if which.size < max(20.0, least):
-            alike.append(0.0)
-            continue
-        y, x = (
-            spans.without_bias(v, which)
-            for v in (reading.y[which], spans.over(reading.x, lag, which))
-        )
-        size = float(np.sqrt((y**2).sum() * (x**2).sum()))
-        alike.append(float(np.linalg.svd(y.T @ x, compute_uv=False).sum()) / max(size, 1e-300))
-    left = 1.0 - np.array(alike) ** 2
+        if which.size >= least:
+            y, x = (
+                spans.without_bias(v, which)
+                for v in (reading.y[which], spans.among(reading.x, lag, which))
+            )
+            cross[i], size[i] = y.T @ x, np.sqrt((y**2).sum() * (x**2).sum())
+    alike = np.linalg.svd(cross, compute_uv=False).sum(axis=1) / np.maximum(size, 1e-300)
+    left = 1.0 - alike**2
     near = np.abs(lags) <= round(0.5 * REACH / dt)
     best = int(np.argmin(left))
     return float(lags[best] * dt) if left[best] + LEAST < LEFT * left[near].min() else 0.0
@@ -290,7 +288,7 @@ def moments(
     for i, lag in enumerate(
         lags.tolist()
     ):  # one at a time: all of them together are too much memory
-        x = spans.without_bias(spans.over(reading.x, lag, which), which)
+        x = spans.without_bias(spans.among(reading.x, lag, which), which)
         cross[i] = np.add.reduceat(y[:, :, None] * x[:, None, :], starts, axis=0)
         xx[i] = np.add.reduceat(x * x, starts, axis=0)
     size = np.sqrt(yy.sum(axis=1) * xx.sum(axis=2))

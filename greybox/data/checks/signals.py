@@ -78,8 +78,8 @@ class Integral:
     def known(self, first: IntArray, last: IntArray) -> BoolArray:
         """Whether nothing is missing from each row to the other; they may lie outside."""
         inside = (first >= 0) & (last < self.lost.size)
-        first, last = (np.clip(r, 0, self.lost.size - 1) for r in (first, last))
-        return np.asarray(inside & (self.lost[first] == self.lost[last]))
+        before, after = (self.lost.take(r, mode="clip") for r in (first, last))
+        return np.asarray(inside & (before == after))
 
 
 def integral(values: FloatArray, dt: float, most: int, times: int = 1) -> Integral:

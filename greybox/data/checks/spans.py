@@ -49,16 +49,22 @@ class Spans:
         """Spans (M,) over which nothing of an integral is missing, `lag` rows before."""
         return of.known(self.rows[:, 0] - lag, self.rows[:, -1] - lag)
 
-    def over(self, of: Integral, lag: int = 0, which: IntArray | None = None) -> FloatArray:
-        """Increments (M, k) of an integral, `lag` rows before these spans (of those which are
-        asked for), missing where it is."""
-        rows = (self.rows if which is None else self.rows[which]) - lag
-        weights = self.weights if which is None else self.weights[which]
-        there = of.known(rows[:, 0], rows[:, -1])
-        at = np.clip(rows, 0, of.lost.size - 1)
-        out = np.einsum("mp,mpk->mk", weights, of.total[at])
-        out[~there] = np.nan
-        return np.asarray(out)
+    def over(self, of: Integral, lag: int = 0) -> FloatArray:
+        """Increments (M, k) of an integral, `lag` rows before these spans, missing where it is."""
+        out = np.full((len(self), of.total.shape[1]), np.nan)
+        there = np.flatnonzero(self.known(of, lag))
+        out[there] = self.among(of, lag, there)
+        return out
+
+    def among(self, of: Integral, lag: int, which: IntArray) -> FloatArray:
+        """Increments (len(which), k) of an integral, `lag` rows before those of these spans over
+        which nothing of it is missing then."""
+        rows, weights = self.rows.take(which, axis=0) - lag, self.weights.take(which, axis=0)
+        # `take` is four times as fast as an index here.
+        parts = (
+            w[:, None] * of.total.take(r, axis=0) for w, r in zip(weights.T, rows.T, strict=True)
+        )
+        return sum(parts, start=np.zeros(()))
 
     @functools.cached_property
     def rates(self) -> FloatArray:
