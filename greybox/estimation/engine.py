@@ -14,7 +14,7 @@ import ctypes
 import functools
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,7 @@ from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray, evaluate
 
 IntArray = npt.NDArray[np.int32]
-Whole = npt.NDArray[np.integer[Any]]
+Whole = npt.NDArray[np.int32 | np.int64]
 """Whole numbers of any size."""
 Pointer = object
 """Memory as ctypes hands it to C."""

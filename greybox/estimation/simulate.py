@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -94,7 +93,7 @@ def _finite(values: object, what: str) -> FloatArray:
     return array
 
 
-def _named(given: object) -> dict[str, Any] | None:
+def _named(given: object) -> dict[str, object] | None:
     """What a mapping, or a frame or series of pandas, holds by name; None of anything else."""
     items = getattr(given, "items", None)
     return None if items is None else dict(items())
