@@ -10,7 +10,7 @@ import argparse
 import sys
 
 from greybox.commands.command_line import Subcommands
-from greybox.commands.console import Console
+from greybox.commands.console import Console, printed_json_option
 from greybox.commands.effect_stages import STAGES
 
 
@@ -31,13 +31,7 @@ def add(subparsers: Subcommands) -> None:
         metavar="E.py",
         help="also list the effects of these Python files, which are run (only what you trust)",
     )
-    p.add_argument(
-        "--json",
-        nargs="?",
-        const="-",
-        metavar="FILE",
-        help="machine-readable, to FILE or standard output",
-    )
+    printed_json_option(p)
     p.set_defaults(run=run)
 
 

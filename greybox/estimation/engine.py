@@ -86,6 +86,13 @@ class Windows:
     end_sensitivity: FloatArray | None
     failed_in: int | None
 
+    def demand_finite(self, what: str, rows: Whole | None = None) -> None:
+        """Raise `FitError` where the numbers of `what` stopped being finite, at the sample where
+        that window begins: of `rows` (m,), else one window a sample."""
+        if self.failed_in is not None:
+            at = self.failed_in if rows is None else rows[self.failed_in]
+            raise FitError(f"{what} is not finite from sample {at}")
+
 
 class Engine:
     """Compiled (or VM) step of `dynamics` with sensitivities for the parameters named in `active`.
