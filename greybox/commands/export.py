@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import Subcommands
+from greybox.commands.command_line import Subcommands, effects_file_option
 from greybox.commands.console import Console, json_option
 from greybox.commands.own_model import model_file_option
 
@@ -52,13 +52,7 @@ def add(commands: Subcommands) -> None:
     )
     p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
     _bundle_options(p)
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
+    effects_file_option(p)
     model_file_option(p)
     p.add_argument(
         "--even-so", action="store_true", help="go on although the model was judged not usable"

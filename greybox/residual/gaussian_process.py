@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
-from greybox.files import Json, Parsed
+from greybox.files import MALFORMED, Json, Parsed
 from greybox.residual.array_file import read_with_arrays, write_with_arrays
 from greybox.residual.as_function import AsFunction
 from greybox.residual.covariances.covariance import (
@@ -380,14 +380,7 @@ class GaussianProcess(AsFunction, Shown):
                 domain=Domain(**plain["domain"]),
                 **{name: plain[name] for name in _SCALES},
             )
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            IndexError,
-            AttributeError,
-            ArithmeticError,
-        ) as error:
+        except MALFORMED as error:
             raise FileFormatError(
                 f"not a Gaussian process: {error!r}", fix="pass what greybox wrote"
             ) from None

@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
-from greybox.files import Json, Parsed, checksum, read_json, write_atomic, write_json
+from greybox.files import MALFORMED, Json, Parsed, checksum, read_json, write_atomic, write_json
 from greybox.plots import Curve, panels
 from greybox.residual.array_file import load_arrays, packed
 from greybox.residual.as_function import AsFunction
@@ -496,14 +496,7 @@ class GPPosterior(AsFunction, Shown):
                 **{name: plain[name] for name in _VECTORS},
                 **values,
             )
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            IndexError,
-            AttributeError,
-            ArithmeticError,
-        ) as error:
+        except MALFORMED as error:
             raise FileFormatError(
                 f"not a GP posterior: {error!r}", fix="pass what greybox wrote"
             ) from None
