@@ -13,7 +13,6 @@ import importlib
 import pkgutil
 import sys
 import warnings
-from typing import Any
 
 from greybox.distribution import VERSION
 
@@ -55,11 +54,11 @@ _MOVED = {
 """Names that were public before 0.1.0; they go with 0.2.0."""
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _PUBLIC:
         module = _PUBLIC[name]
         if module == __name__:
-            value: Any = importlib.import_module(f"{__name__}.{name}")
+            value: object = importlib.import_module(f"{__name__}.{name}")
         else:
             value = getattr(importlib.import_module(module), name)
     elif name in _MOVED:

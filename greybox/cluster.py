@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import ParamSpec, Protocol, TypeVar
 
 from greybox.distribution import VERSION, install_line
 from greybox.errors import GreyboxError, MissingExtraError
@@ -54,7 +54,7 @@ class Cluster(concurrent.futures.Executor):
         # What becomes of workers and connections comes back as errors of the tasks.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         try:
-            self._client: Any = Client(f"tcp://{host}", timeout=PATIENCE, set_as_default=False)
+            self._client = Client(f"tcp://{host}", timeout=PATIENCE, set_as_default=False)
         except OSError:
             raise GreyboxError(
                 f"no scheduler answers at {address}",
@@ -65,7 +65,7 @@ class Cluster(concurrent.futures.Executor):
         except BaseException:
             self._client.close()
             raise
-        self._open: set[concurrent.futures.Future[Any]] = set()
+        self._open = set[_Unanswered]()
         self._left = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
 
@@ -138,6 +138,13 @@ class _Task(Protocol[Gives]):
         ...
 
 
+class _Unanswered(Protocol):
+    """An answer that is still open, whatever it will be of."""
+
+    def set_exception(self, exception: BaseException | None, /) -> None:
+        """There will be none."""
+
+
 def _told(done: _Task[T], answer: concurrent.futures.Future[T]) -> None:
     """Pass on what a task of the cluster gave."""
     from distributed import KilledWorker
@@ -155,6 +162,6 @@ def _told(done: _Task[T], answer: concurrent.futures.Future[T]) -> None:
             answer.set_result(value)
 
 
-def _fail(answer: concurrent.futures.Future[T], error: BaseException) -> None:
+def _fail(answer: _Unanswered, error: BaseException) -> None:
     with contextlib.suppress(concurrent.futures.InvalidStateError):  # it was given up before
         answer.set_exception(error)

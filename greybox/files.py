@@ -33,6 +33,8 @@ MB."""
 MOST_CONTAINERS, MOST_QUOTES = 300_000, 4_000_000
 """Arrays and objects, and quotation marks, of a JSON file: they cost more memory than their
 characters suggest."""
+MALFORMED = (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError)
+"""What is raised where content of another shape than expected is made a value of."""
 OTHER_VERSION = "wrong schema: written by another version of greybox"
 OTHER_FIX = "use that version, or make the file again with this one"
 LEFT_BY_BROWSERS = {".DS_Store", "Thumbs.db"}

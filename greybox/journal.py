@@ -25,11 +25,15 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
-from greybox.files import append_json_line, write_atomic
+from greybox.files import Json, append_json_line, of_another_version, write_atomic
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FILE = "unfinished.jsonl"
 """Name of a journal beside the results of the work."""
@@ -39,10 +43,13 @@ MOST = 2**30
 FIRST_LINE = 2**20
 """Bytes of the line that says what was given."""
 LINE = re.compile(rb'\{"key": "([0-9a-f]{64})"')
+CONTAINERS = {"list": list, "frozenset": frozenset, "dict": dict}
+"""What stands under its name; a tuple is an array of JSON."""
 NAMES = 3
 """Names of what differs that are said."""
 T = TypeVar("T")
-Kinds = Sequence[type[Any]]
+Kind: TypeAlias = "type[DataclassInstance] | type[enum.Enum]"
+Kinds = Sequence[Kind]
 """Dataclasses and enums that an answer is made of; numbers, texts, tuples and arrays need none."""
 Work = Callable[[Sequence[int]], Iterable[tuple[int, T]]]
 """Places among the questions -> (place, answer) of each, as they are found."""
@@ -67,8 +74,15 @@ class Journal:
         try:
             with self._path.open("rb") as stream:
                 head = json.loads(stream.readline(FIRST_LINE))
-                if head["schema"] != SCHEMA or os.path.getsize(self._path) > 2 * MOST:
+                schema = head["schema"]
+                if not of_another_version(schema, SCHEMA):
                     raise ValueError("not a journal")
+                if schema != SCHEMA:
+                    other = "written by another version of greybox"
+                    self.going_on = f"{self._path} was {other}: all starts anew"
+                    return
+                if os.path.getsize(self._path) > 2 * MOST:
+                    raise ValueError("longer than any journal")
                 if other := _differing(dict(head["given"]), self._given):
                     self.going_on = f"{self._path} is of other input ({other}): all starts anew"
                     return
@@ -89,13 +103,16 @@ class Journal:
         if self.kept:
             self.going_on = f"going on where it was stopped, after {fits(self.kept)}"
 
-    def answers(self, questions: Sequence[object], work: Work[T], kinds: Kinds) -> list[T]:
+    def answers(
+        self, questions: Sequence[object], work: Work[T], whole: type[T], parts: Kinds
+    ) -> list[T]:
         """As the function of this name."""
+        kinds = {k.__name__: k for k in parts}
         keys = [_sha([self._state, k, plain(q)]) for k, q in enumerate(questions)]
         found, sums = dict[int, T](), dict[int, str]()
         for place, key in enumerate(keys):
             with contextlib.suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
-                found[place], sums[place] = self._recalled(key, kinds)
+                found[place], sums[place] = self._recalled(key, whole, kinds)
         asked = [k for k in range(len(keys)) if k not in found]
         then = time.perf_counter()
         for place, answer in work(asked) if asked else ():
@@ -105,15 +122,17 @@ class Journal:
         self._state = _sha([self._state, [sums[k] for k in range(len(keys))]])
         return [found[k] for k in range(len(keys))]
 
-    def _recalled(self, key: str, kinds: Kinds) -> tuple[Any, str]:
-        """The answer under a key and its checksum. Raises `KeyError`, `ValueError`, ... where there
-        is none, or not as it was written."""
+    def _recalled(self, key: str, whole: type[T], kinds: Mapping[str, Kind]) -> tuple[T, str]:
+        """The answer under a key, and its checksum. Raises `KeyError`, `ValueError`, ... where
+        there is none, or not as it was written."""
         with self._path.open("rb") as stream:
             stream.seek(self._there.pop(key))
             row = json.loads(stream.readline())
         if row["key"] != key or row["sum"] != _sha([key, row["answer"]]):
             raise ValueError("not as it was written")
-        answer = restored(row["answer"], {k.__name__: k for k in kinds})
+        answer = restored(row["answer"], kinds)
+        if not isinstance(answer, whole):
+            raise TypeError(f"an answer of {type(answer).__name__}")
         self.spared += max(0.0, float(row["seconds"]))
         return answer, row["sum"]
 
@@ -162,12 +181,15 @@ def kept_in(path: Path, given: Mapping[str, str]) -> Iterator[Journal]:
     journal.end()
 
 
-def answers(questions: Sequence[object], work: Work[T], kinds: Kinds) -> list[T]:
+def answers(
+    questions: Sequence[object], work: Work[T], whole: type[T], parts: Kinds = ()
+) -> list[T]:
     """The answer to every question, in order: those that the journal of the work around it has,
     from there, the others by `work`, each kept as soon as it is found. Questions are plain values
-    or dataclasses of them, answers too, made of `kinds` and arrays of float64."""
+    or dataclasses of them; an answer is a `whole`, made of `parts`, plain values and arrays of
+    float64."""
     if (journal := _CURRENT.get()) is not None:
-        return journal.answers(questions, work, kinds)
+        return journal.answers(questions, work, whole, parts)
     found = dict(work(range(len(questions))))
     return [found[k] for k in range(len(questions))]
 
@@ -194,8 +216,9 @@ def _sha(value: object) -> str:
     return hashlib.sha256(json.dumps(value, separators=(",", ":")).encode()).hexdigest()
 
 
-def plain(value: object) -> Any:
-    """A value for JSON that `restored` makes again, to the last bit. Raises `TypeError`."""
+def plain(value: object) -> Json:
+    """A value for JSON that `restored` makes again, to the last bit; a number of NumPy is one of
+    Python afterwards. Raises `TypeError`."""
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else {"float": repr(float(value))}
     if value is None or isinstance(value, (bool, int, str)):
@@ -205,22 +228,24 @@ def plain(value: object) -> Any:
         if square and value.tobytes() == value.T.tobytes():
             return {"symmetric": [len(value), _text(value[np.tril_indices(len(value))])]}
         return {"array": [list(value.shape), _text(value)]}
-    if isinstance(value, (tuple, list)):
+    if isinstance(value, tuple):
         return [plain(v) for v in value]
+    if isinstance(value, list):
+        return {"list": [plain(v) for v in value]}
     if isinstance(value, frozenset):
-        return sorted(plain(v) for v in value)
+        return {"frozenset": sorted((plain(v) for v in value), key=json.dumps)}
     if isinstance(value, Mapping):
-        return [[plain(k), plain(v)] for k, v in value.items()]
+        return {"dict": [[plain(k), plain(v)] for k, v in value.items()]}
     if isinstance(value, enum.Enum):
         return {type(value).__name__: value.name}
-    if dataclasses.is_dataclass(value):
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {type(value).__name__: [plain(getattr(value, n)) for n in _given_to(type(value))]}
     raise TypeError(f"a journal keeps no {type(value).__name__}")
 
 
-def restored(content: Any, kinds: Mapping[str, type[Any]]) -> Any:
-    """The value that `plain` made this of; lists are tuples. Raises `KeyError`, `TypeError`,
-    `ValueError` for anything else."""
+def restored(content: Json, kinds: Mapping[str, Kind]) -> object:
+    """The value that `plain` made this of. Raises `KeyError`, `TypeError`, `ValueError` for
+    anything else."""
     if isinstance(content, list):
         return tuple(restored(v, kinds) for v in content)
     if not isinstance(content, dict):
@@ -235,6 +260,8 @@ def restored(content: Any, kinds: Mapping[str, type[Any]]) -> Any:
         lower = np.zeros((size, size))
         lower[np.tril_indices(size)] = _numbers(text)
         return np.where(np.tri(size, dtype=bool), lower, lower.T)
+    if name in CONTAINERS:
+        return CONTAINERS[name](restored(v, kinds) for v in inner)
     kind = kinds[name]
     if issubclass(kind, enum.Enum):
         return kind[inner]
@@ -242,15 +269,15 @@ def restored(content: Any, kinds: Mapping[str, type[Any]]) -> Any:
     return kind(**dict(zip(_given_to(kind), values, strict=True)))
 
 
-def _given_to(kind: Any) -> list[str]:
+def _given_to(kind: type[DataclassInstance]) -> list[str]:
     """Fields that a dataclass is made with."""
     return [f.name for f in dataclasses.fields(kind) if f.init]
 
 
-def _text(numbers: np.ndarray[Any, np.dtype[np.float64]]) -> str:
+def _text(numbers: npt.NDArray[np.float64]) -> str:
     return base64.b64encode(np.ascontiguousarray(numbers, dtype="<f8").tobytes()).decode()
 
 
-def _numbers(text: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _numbers(text: str) -> npt.NDArray[np.float64]:
     raw = np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8")
     return raw.astype(np.float64)

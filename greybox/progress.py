@@ -8,7 +8,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -172,7 +172,7 @@ def in_notebooks(**ways: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             )
             if line is None:
                 return function(*args, **kwargs)
-            own: dict[str, Any] = {k: getattr(line, method) for k, method in ways.items()}
+            own = {k: getattr(line, method) for k, method in ways.items()}
             how = "stopped"
             try:
                 result = function(*args, **{**kwargs, **own})

@@ -9,9 +9,9 @@ import inspect
 import math
 import numbers
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Protocol, TypeVar, runtime_checkable
 
 from greybox.errors import DataError, GreyboxError, ModelError
 
@@ -19,6 +19,19 @@ P = ParamSpec("P")
 R = TypeVar("R")
 LONGEST_VALUE = 60
 """Characters of a value that a message shows."""
+
+
+@runtime_checkable
+class Named(Protocol):
+    """Values by name: a mapping, or a frame or series of pandas."""
+
+    def items(self) -> Iterable[tuple[Hashable, object]]:
+        """(name, value) of each."""
+        ...
+
+    def __iter__(self) -> Iterator[Hashable]: ...
+
+    def __len__(self) -> int: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +200,7 @@ MAPPING = Kind(
 )
 CHANNELS = Kind(
     words="channels by name: {'p': values, ...}, or a data frame",
-    fits=lambda v: hasattr(v, "items") and len(v) > 0 and all(isinstance(n, str) for n in v),
+    fits=lambda v: isinstance(v, Named) and len(v) > 0 and all(isinstance(n, str) for n in v),
     fix="dataset_from_arrays(t, {'u1': u1, 'p': p})",
 )
 TEXT = Kind(words="a text", fits=lambda v: isinstance(v, str))

@@ -8,12 +8,13 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import resource_tracker
 from types import TracebackType
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 from greybox.cores import cores, limit_cores
 
@@ -118,13 +119,12 @@ def _follow(share: int) -> None:
 @contextlib.contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Ctrl-C waits; where the system cannot block it, it may come."""
-    block: Any = getattr(signal, "pthread_sigmask", None)
-    if block is None:
+    if sys.platform == "win32":
         yield
         return
     resource_tracker.ensure_running()  # which lets it in again where it starts
-    before = block(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        block(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -22,29 +22,45 @@ from greybox.estimation.status import Code, Status
 from greybox.symbolic import FloatArray
 
 GIVEN = {"file a.csv": "1", "--alpha": "0.05"}
-KINDS = (Status, Code)
 numbers = st.floats(width=64)
+simple = st.none() | st.booleans() | st.integers(-(2**70), 2**70) | numbers | st.text()
 values = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | numbers | st.text(),
-    lambda inner: st.tuples(inner, inner) | st.tuples(inner),
+    simple,
+    lambda inner: (
+        st.tuples(inner, inner)
+        | st.lists(inner, max_size=2)
+        | st.dictionaries(st.text() | st.tuples(st.text()), inner, max_size=2)
+        | st.frozensets(st.text(), max_size=1)
+    ),
 )
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A status and an array."""
+
+    status: Status
+    array: FloatArray
+
+
+PARTS = (Answer, Status, Code)
 
 
 @dataclass
 class Asked:
-    """Work that counts what it was asked: (place, question) -> status and array."""
+    """Work that counts what it was asked: (place, question) -> answer."""
 
     count: int = 0
 
-    def of(self, questions: Sequence[float]) -> list[tuple[Status, FloatArray]]:
-        def work(places: Sequence[int]) -> Iterator[tuple[int, tuple[Status, FloatArray]]]:
+    def of(self, questions: Sequence[float]) -> list[Answer]:
+        def work(places: Sequence[int]) -> Iterator[tuple[int, Answer]]:
             for k in reversed(places):
                 self.count += 1
                 code = Code.CONVERGED
                 status = Status(code=code, iterations=k, evaluations=1, decrement=np.inf)
-                yield k, (status, np.outer([questions[k], 0.1], [1 / 3, -0.0]))
+                yield k, Answer(status, np.outer([questions[k], 0.1], [1 / 3, -0.0]))
 
-        return journal.answers(questions, work, KINDS)
+        return journal.answers(questions, work, Answer, PARTS)
 
     def story(self, path: Path, given: dict[str, str] = GIVEN, ends: bool = False) -> list[object]:
         """Three rounds of questions, of which each depends on the answers before."""
@@ -53,8 +69,8 @@ class Asked:
                 told, ask = list[object](), [1.0, 2.0]
                 for _ in range(3):
                     found = self.of(ask)
-                    told += [(s, a.tobytes()) for s, a in found]
-                    ask = [float(a.sum()) for _, a in found]
+                    told += [(a.status, a.array.tobytes()) for a in found]
+                    ask = [float(a.array.sum()) for a in found]
                 if not ends:
                     raise KeyboardInterrupt
         except KeyboardInterrupt:
@@ -125,6 +141,27 @@ def test_other_input_is_said_and_starts_anew(tmp_path: Path, other: dict[str, st
     assert "after 6 fits" in journal.Journal(path, other).going_on
 
 
+def test_a_journal_of_another_version_is_said_to_be_one_and_starts_anew(tmp_path: Path) -> None:
+    path, again = tmp_path / "j", Asked()
+    Asked().story(path)
+    path.write_text(path.read_text().replace(journal.SCHEMA, "greybox.journal/0", 1))
+    assert "another version of greybox" in journal.Journal(path, GIVEN).going_on
+    assert again.story(path) == TOLD
+    assert again.count == 6
+    assert "after 6 fits" in journal.Journal(path, GIVEN).going_on
+
+
+def test_an_answer_of_another_kind_counts_as_not_there(tmp_path: Path) -> None:
+    def ask(answer: object) -> list[object]:
+        with contextlib.suppress(KeyboardInterrupt), journal.kept_in(tmp_path / "j", GIVEN):
+            told.extend(journal.answers(["a"], lambda _: [(0, answer)], type(answer)))
+            raise KeyboardInterrupt
+        return told[-1:]
+
+    told = list[object]()
+    assert [ask("1"), ask("2"), ask(2.0), ask(3.0)] == [["1"], ["1"], [2.0], [2.0]]
+
+
 @pytest.mark.parametrize("text", ["my notes\n", "{}\n", "[" * 5000, '{"schema": 3}\n', "\xff\0\n"])
 def test_what_is_no_journal_stays_as_it_is(tmp_path: Path, text: str) -> None:
     path, work = tmp_path / "j", Asked()
@@ -154,8 +191,8 @@ def test_what_cannot_be_kept_is_asked_again(tmp_path: Path) -> None:
 
     for _ in range(2):
         with contextlib.suppress(KeyboardInterrupt), journal.kept_in(tmp_path / "j", GIVEN):
-            assert journal.answers(["a", "b"], work, ()) == [1.0, object]
-            assert journal.answers(["c"], work, ()) == [1.0]
+            assert journal.answers(["a", "b"], work, object) == [1.0, object]
+            assert journal.answers(["c"], work, object) == [1.0]
             raise KeyboardInterrupt
     assert asked == [0, 1, 0, 1]
 

@@ -58,6 +58,22 @@ MODULES = {n: m for n, m in _MOVED.items() if n != "load_model"} | RESULTS | CAL
 """What else is described: types that public names take and give back, and what a page uses.
 `greybox.load` reads all models."""
 
+JOBS = {
+    "vehicle and flights": (
+        "read_vehicle",
+        "read_logs",
+        "dataset_from_arrays",
+        "check",
+        "plan",
+        "examples",
+    ),
+    "fit and judge": ("identify", "fit", "validate", "profile", "build_model"),
+    "what the model misses": ("discover", "learn", "from_gpytorch", "compare"),
+    "without a vehicle": ("fit_linear", "frf"),
+    "use a model": ("load", "export", "twin"),
+}
+"""Public functions by what they are for."""
+
 
 def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
@@ -206,24 +222,46 @@ def public_names() -> dict[str, Any]:
     }
 
 
-def described(public: dict[str, Any]) -> str:
-    """A table of names, then each with signature, docstring and members."""
-    # Titles differ in more than case, so that `Fit` and `fit` have anchors of their own.
-    kinds = {
-        name: (inspect.isclass(t) and "class ") or (inspect.ismodule(t) and "module ")
-        for name, t in public.items()
-    }
-    titles = {name: f"{kind}{name}" if kind else f"{name}()" for name, kind in kinds.items()}
+def _title(name: str, thing: Any) -> str:
+    """Titles differ in more than case, so that `Fit` and `fit` have anchors of their own."""
+    kind = (inspect.isclass(thing) and "class ") or (inspect.ismodule(thing) and "module ")
+    return f"{kind}{name}" if kind else f"{name}()"
+
+
+def _link(name: str, thing: Any) -> str:
+    anchor = _title(name, thing).removesuffix("()").replace(" ", "-").lower()
+    return f"[`{name}`](#{anchor})"
+
+
+def types_page(types: dict[str, Any]) -> str:
+    """A table of types, then each."""
     lines = ["| name | what it is |", "|---|---|"]
-    for name, thing in public.items():
-        anchor = titles[name].removesuffix("()").replace(" ", "-").lower()
+    for name, thing in types.items():
         module = f" (`{MODULES[name]}`)" if name in MODULES else ""
-        lines.append(f"| [`{name}`](#{anchor}){module} | {_first_sentence(thing)} |")
+        lines.append(f"| {_link(name, thing)}{module} | {_first_sentence(thing)} |")
+    return "\n".join([*lines, *described(types)]) + "\n"
+
+
+def functions_page(functions: dict[str, Any]) -> str:
+    """Public functions by what they are for, then each; others by where they are."""
+    lines = ["| for | functions |", "|---|---|"]
+    for job, names in JOBS.items():
+        lines.append(f"| {job} | {', '.join(_link(n, functions[n]) for n in names)} |")
+    lines += described({n: functions[n] for names in JOBS.values() for n in names})
+    lines += ["", "## Others", "", "| function | what it is |", "|---|---|"]
+    for name in (n for n in functions if n in MODULES):
+        lines.append(f"| `{MODULES[name]}.{name}` | {_first_sentence(functions[name])} |")
+    return "\n".join(lines) + "\n"
+
+
+def described(public: dict[str, Any]) -> list[str]:
+    """Each name with signature, docstring and members, in lines."""
+    lines = list[str]()
     for name, thing in public.items():
         call = f"greybox.{name}" if inspect.ismodule(thing) else f"{name}{_signature(thing)}"
         if name in MODULES:
             call = f"from {MODULES[name]} import {name}\n{call}"
-        lines += ["", f"## {titles[name]}", "", "```text", call, "```", "", _document(thing)]
+        lines += ["", f"## {_title(name, thing)}", "", "```text", call, "```", "", _document(thing)]
         inside = members(thing)
         if inside:
             lines += ["", "| member | what it does |", "|---|---|"]
@@ -233,7 +271,7 @@ def described(public: dict[str, Any]) -> str:
             )
             call = "" if isinstance(value, property) else _signature(function)
             lines.append(f"| `{member}{_cell(call)}` | {_first_paragraph(function)} |")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def pages() -> dict[str, str]:
@@ -243,8 +281,8 @@ def pages() -> dict[str, str]:
     functions = {name: thing for name, thing in public.items() if name not in types}
     return {
         "reference.md": "\n".join([HEAD, command_line(), table()]),
-        "functions.md": "\n".join([FUNCTIONS, described(functions)]),
-        "types.md": "\n".join([TYPES, described(types)]),
+        "functions.md": "\n".join([FUNCTIONS, functions_page(functions)]),
+        "types.md": "\n".join([TYPES, types_page(types)]),
     }
 
 

@@ -71,10 +71,8 @@ def facts_of(data: Dataset, vehicle: Vehicle, report: CheckReport) -> Facts:
     for sensor in sensors:
         columns_of = [x.name for x in sensor.signals(vehicle)]
         components = [x.name for x in sensor.innovation_signals(vehicle)]
-        levels = [_fastest([s.column(c) for f in data for s in f.segments]) for c in columns_of]
-        if len(levels) == len(components) + 1:
-            # A rotation vector is twice the vector part of its quaternion, scalar first.
-            levels = [2.0 * v for v in levels[1:]]
+        fastest = [_fastest([s.column(c) for f in data for s in f.segments]) for c in columns_of]
+        levels = sensor.noise_of_innovation(np.array(fastest)).tolist()
         for component, level in zip(components, levels, strict=True):
             if np.isfinite(level) and level > 0:
                 noise[sensor.name, component] = level

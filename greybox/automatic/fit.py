@@ -22,7 +22,7 @@ from greybox.automatic.setting import Given
 from greybox.automatic.trials import QUICK, Say
 from greybox.automatic.two_horizons import with_one_step
 from greybox.data import Dataset
-from greybox.data.checks import CheckReport, check_beside
+from greybox.data.checks import Checked, CheckReport
 from greybox.data.conditioning import condition
 from greybox.data.impossible import without_impossible
 from greybox.data.raw import RawLog, Removed
@@ -121,7 +121,7 @@ def prepare(
     decide_rate: bool = True,
     keep_noise_free: bool = False,
     accept: Iterable[str] = (),
-    beside: Sequence[RawLog] | Dataset = (),
+    beside: Checked | None = None,
 ) -> Prepared:
     """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs'
     own where it is not to be decided). Findings of the checks in `accept` leave no flight out. Sensors
@@ -143,14 +143,17 @@ def prepare(
     else:
         own_rate = rate if not decide_rate else None
         data = read_flights(raws, vehicle, rate=own_rate, trim=trim)
-    report = check_beside(data, beside, vehicle, accept=accept)
-    kept, left_out = (data, ()) if all_flights else sound_flights(data, vehicle, report)
+    accept, report, kept = tuple(accept), None, data
+    left_out: tuple[LeftOut, ...] = ()
+    if not all_flights:
+        report = Checked.of(data, vehicle).report(accept, beside=beside)
+        kept, left_out = sound_flights(data, vehicle, report)
     wanted = rate if rate is not None or not decide_rate else needed_rate(kept)
     if wanted is not None and (decide_rate or isinstance(logs, Dataset)):
         chosen = [r for r in raws if r.flight in kept.names]
-        kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
-        # offsets in samples are those of this rate
-        report = check_beside(kept, beside, vehicle, accept=report.accepted)
+        kept, report = read_flights(chosen, vehicle, rate=wanted, trim=trim), None
+    if report is None:  # offsets in samples are those of the rate that the flights have now
+        report = Checked.of(kept, vehicle).report(accept, beside=beside)
     kept, added = (kept, ()) if keep_noise_free else with_sensor_noise(kept, vehicle)
     return Prepared(
         data=kept,

@@ -13,6 +13,7 @@ from greybox.automatic.setting import Given
 from greybox.automatic.trials import Say
 from greybox.automatic.wanted import with_rivals
 from greybox.data import Dataset, Flight
+from greybox.data.checks import Checked
 from greybox.data.halves import demand_disjoint
 from greybox.errors import DataError, GreyboxError, ModelError
 from greybox.estimation.fit import fit as explicit_fit
@@ -124,7 +125,8 @@ def _automatic(
 ) -> Fit:
     FitOptions.of(None, given.choices)  # an unknown keyword is said before any work is done
     demand_sound(faults_of(vehicle, accept=accept), "a fit")
-    prepared = prepare(vehicle, data, accept=accept, beside=() if test is None else test)
+    beside = None if test is None else Checked.of(test, vehicle, asked_again=True)
+    prepared = prepare(vehicle, data, accept=accept, beside=beside)
     unchecked = prepared.report.unchecked_order
     for line in (*prepared.report.accepted_lines(), *unchecked):
         say(line)

@@ -36,7 +36,7 @@ from greybox.baselines.predictor_features import features_of, layout_of
 from greybox.baselines.regressors import segments_of
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError, FileFormatError, GreyboxError, ModelError
-from greybox.files import Json, checksum, read_json, to_plain, write_json
+from greybox.files import MALFORMED, Json, checksum, read_json, to_plain, write_json
 from greybox.linear.logs import ChannelSpec, parse_channels
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, library_versions
@@ -202,14 +202,7 @@ class OutputHybrid(Shown):
                 train_seconds=float(body["train_seconds"]),
                 report=body["report"],
             )
-        except (
-            KeyError,
-            TypeError,
-            AttributeError,
-            ValueError,
-            IndexError,
-            ArithmeticError,
-        ) as error:
+        except MALFORMED as error:
             if isinstance(error, GreyboxError):
                 raise
             raise FileFormatError(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands
-from greybox.commands.console import Console
+from greybox.commands.console import Console, printed_json_option
 
 if TYPE_CHECKING:
     from greybox.files import Parsed
@@ -69,13 +69,7 @@ def add(subparsers: Subcommands) -> None:
         "sets, software.",
     )
     p.add_argument("model", metavar="MODEL.json", help="a model file")
-    p.add_argument(
-        "--json",
-        nargs="?",
-        const="-",
-        metavar="FILE",
-        help="machine-readable, to FILE or standard output",
-    )
+    printed_json_option(p)
     p.set_defaults(run=run)
 
 

@@ -20,3 +20,8 @@ def typed(command: str, otherwise: str | None = None) -> str:
     if sys.argv[1:2] == [command]:
         return "greybox " + shlex.join(sys.argv[1:])
     return otherwise or f"greybox {command}"
+
+
+def effects_file_option(p: Options, what: str = "effects of your own in the model") -> None:
+    """Declare --effects-file, whose help is `what`."""
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help=what)

@@ -21,6 +21,17 @@ def json_option(p: Options, content: str) -> None:
     )
 
 
+def printed_json_option(p: Options) -> None:
+    """Declare --json of a command that only lists: to a file, or instead of its text."""
+    p.add_argument(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="machine-readable, to FILE or standard output",
+    )
+
+
 def _worked() -> float:
     """[s] on a clock that goes on where an earlier run of the same work was stopped."""
     from greybox.journal import spared

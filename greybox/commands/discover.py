@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from greybox.model.vehicle import Vehicle
 
 from greybox.commands.collector import what_is_there_stays
-from greybox.commands.command_line import Subcommands
+from greybox.commands.command_line import Subcommands, effects_file_option
 from greybox.commands.console import Console, json_option
 from greybox.commands.discover_folder import SearchFolder
 from greybox.commands.flight_logs import flight_log_options
@@ -114,12 +114,8 @@ def _search_options(p: argparse.ArgumentParser) -> None:
         help="add no more than N effects (default 12)",
     )
     adapt_option(p)
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="also offer the effects of these Python files, which are run (only what you trust)",
+    effects_file_option(
+        p, "also offer the effects of these Python files, which are run (only what you trust)"
     )
     _model_options(p)
     p.add_argument(

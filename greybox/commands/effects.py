@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from greybox.commands.command_line import Subcommands
-from greybox.commands.console import Console
+from greybox.commands.command_line import Subcommands, effects_file_option
+from greybox.commands.console import Console, printed_json_option
 from greybox.commands.effect_stages import STAGES
 
 
@@ -24,20 +24,10 @@ def add(subparsers: Subcommands) -> None:
     )
     p.add_argument("names", nargs="*", metavar="NAME", help="only these effects (default: all)")
     p.add_argument("--stage", choices=tuple(STAGES), help="only the effects of one stage")
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="also list the effects of these Python files, which are run (only what you trust)",
+    effects_file_option(
+        p, "also list the effects of these Python files, which are run (only what you trust)"
     )
-    p.add_argument(
-        "--json",
-        nargs="?",
-        const="-",
-        metavar="FILE",
-        help="machine-readable, to FILE or standard output",
-    )
+    printed_json_option(p)
     p.set_defaults(run=run)
 
 

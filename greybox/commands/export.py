@@ -4,11 +4,14 @@ can use without greybox."""
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import Subcommands
+from greybox.commands.command_line import Subcommands, effects_file_option
 from greybox.commands.console import Console, json_option
 from greybox.commands.own_model import model_file_option
+
+if TYPE_CHECKING:
+    from mpc_export.predictors import Fitted
 
 TARGETS = (
     "c",
@@ -49,13 +52,7 @@ def add(commands: Subcommands) -> None:
     )
     p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
     _bundle_options(p)
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
+    effects_file_option(p)
     model_file_option(p)
     p.add_argument(
         "--even-so", action="store_true", help="go on although the model was judged not usable"
@@ -171,7 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _model(arguments: argparse.Namespace) -> Any:
+def _model(arguments: argparse.Namespace) -> Fitted:
     """A fitted model of any kind. Raises `FileFormatError`, `ModelError`."""
     from greybox.commands.own_model import loaded
     from greybox.model.effects_file import load_effects

@@ -75,7 +75,7 @@ def _flights(
     files of both). Raises `GreyboxError` for a flight in both."""
     from greybox.automatic.fit import prepare, read_flights
     from greybox.data import Dataset
-    from greybox.data.checks import check
+    from greybox.data.checks import Checked
     from greybox.data.dataset import demand_names_once
     from greybox.data.halves import demand_disjoint
     from greybox.data.logs import read_possible
@@ -93,6 +93,7 @@ def _flights(
     logs, others = read(arguments.train), read(arguments.test)
     demand_names_once([r.flight for r in logs])
     demand_disjoint(*([r.file for r in some] for some in (logs, others)))
+    tested = Checked.of(others, vehicle, asked_again=True)
     prepared = prepare(
         vehicle,
         logs,
@@ -102,10 +103,12 @@ def _flights(
         decide_rate=not arguments.manual,
         keep_noise_free=arguments.keep_noise_free,
         accept=accepted(arguments.accept),
-        beside=others,
+        beside=tested,
     )
     files = [
-        check(some, vehicle, accept=prepared.report.accepted) for some in (logs, others) if some
+        some.report(prepared.report.accepted)
+        for some in (Checked.of(logs, vehicle), tested)
+        if some.views
     ]
     if not others:
         return prepared, Dataset(flights=()), files

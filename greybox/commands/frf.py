@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import Subcommands, typed
+from greybox.commands.command_line import Subcommands, effects_file_option, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.model_options import names
@@ -66,13 +66,7 @@ def add(subparsers: Subcommands) -> None:
         help="resample the logs (default: rate of the model)",
     )
     flight_log_options(p)
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
+    effects_file_option(p)
     p.add_argument("--out", default="greybox-frf", metavar="DIR", help="folder for the results")
     json_option(p, "frf.json")
     p.set_defaults(run=run)

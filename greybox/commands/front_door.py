@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from greybox.baselines.compare_options import CompareChoices, CompareOptions
 from greybox.estimation.options import says_choices
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from greybox.model.linear import LinearModel
     from greybox.model.sensor import Sensor
     from greybox.model.vehicle import Vehicle
+    from mpc_export.options import ExportChoices
 
 
 @takes(path=PATH, effects=OWN_EFFECTS)
@@ -55,20 +56,19 @@ def load(
 def export(
     model: IdentifiedModel | LinearModel,
     folder: str | os.PathLike[str],
-    *,
-    targets: Iterable[str] = ("c", "casadi"),
-    **options: Any,
+    **choices: Unpack[ExportChoices],
 ) -> Path:
     """Write a fitted model to `folder` for a controller, as `greybox export` does; returns the
     folder.
 
-    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`,
-    `even_so`) are those of `mpc_export.bundle.write_bundle`, which says what they mean and what is
-    raised. A model that was judged NOT USABLE is refused (`ModelError`); `even_so=True` overrules.
+    The keywords (`targets`, C and CasADi where it is not said, `name`, `dt`, `real`, `with_`,
+    `runtime_parameters`, `points`, `even_so`, ...) are those of `mpc_export.bundle.write_bundle`,
+    which says what they mean and what is raised. A model that was judged NOT USABLE is refused
+    (`ModelError`); `even_so=True` overrules.
     """
     from mpc_export.bundle import write_bundle
 
-    return write_bundle(model, folder, targets=targets, **options).folder
+    return write_bundle(model, folder, **choices).folder
 
 
 @in_notebooks(say="say")

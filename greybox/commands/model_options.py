@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Literal, cast
 
-from greybox.commands.command_line import Options
+from greybox.commands.command_line import Options, effects_file_option
 
 if TYPE_CHECKING:
     from greybox.automatic.fit import Prepared
@@ -74,12 +74,8 @@ def model_options(p: Options) -> None:
         metavar="a,b",
         help="effects besides those in the vehicle file",
     )
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="add the effects of these Python files, which are run (only what you trust)",
+    effects_file_option(
+        p, "add the effects of these Python files, which are run (only what you trust)"
     )
     _unknown_options(p)
     _method_options(p)

@@ -7,7 +7,7 @@ import argparse
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
@@ -17,6 +17,7 @@ from greybox.errors import solvable
 
 if TYPE_CHECKING:
     from greybox.report.mpc_documents import MpcDocument
+    from mpc_export.mission.prepare import Flown
 
 
 def add(subparsers: Subcommands) -> None:
@@ -200,9 +201,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _prepared(arguments: argparse.Namespace, console: Console) -> Any:
-    """Models, plant and controllers, with the back-offs that training flights ask for: a `Flown` of
-    mpc_export.mission.prepare."""
+def _prepared(arguments: argparse.Namespace, console: Console) -> Flown:
+    """Models, plant and controllers, with the back-offs that training flights ask for."""
     from mpc_export.mission.prepare import Demo, MissionOptions, prepare
 
     demo = None
@@ -231,7 +231,7 @@ def _prepared(arguments: argparse.Namespace, console: Console) -> Any:
 
 def _report(
     arguments: argparse.Namespace,
-    flown: Any,
+    flown: Flown,
     watched: Sequence[int],
     command: str,
     warnings: Sequence[str],

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from greybox.planning.document import PlanDocument
     from greybox.planning.result import Plan
 
-from greybox.commands.command_line import Subcommands, typed
+from greybox.commands.command_line import Subcommands, effects_file_option, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.model_options import names, noise_levels, numbers, values
 from greybox.commands.own_model import loaded, model_file_option, range_options
@@ -72,12 +72,8 @@ def _knowledge_options(p: argparse.ArgumentParser) -> None:
         metavar="a,b",
         help="effects that the flights are for",
     )
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="know the effects of these Python files too, which are run (only what you trust)",
+    effects_file_option(
+        p, "know the effects of these Python files too, which are run (only what you trust)"
     )
     p.add_argument(
         "--free", type=names, default=None, metavar="a,b", help="estimate exactly these parameters"

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from greybox.commands.command_line import Subcommands, typed
+from greybox.commands.command_line import Subcommands, effects_file_option, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.going_on import going_on
@@ -64,13 +64,7 @@ def add(subparsers: Subcommands) -> None:
         help="probability of the interval (default %(default)s)",
     )
     flight_log_options(p)
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
+    effects_file_option(p)
     model_file_option(p)
     p.add_argument("--out", default="greybox-profile", metavar="DIR", help="folder for the results")
     json_option(p, "profile.json")

@@ -7,7 +7,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import Subcommands
+from greybox.commands.command_line import Subcommands, effects_file_option
 from greybox.commands.console import Console, json_option
 
 if TYPE_CHECKING:
@@ -68,13 +68,7 @@ def add(commands: Subcommands) -> None:
         action="store_true",
         help="write over existing files, and remove those of the twin that was there",
     )
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="effects of your own in the model",
-    )
+    effects_file_option(p)
     p.add_argument(
         "--even-so", action="store_true", help="go on although the model was judged not usable"
     )

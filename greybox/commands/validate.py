@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from greybox.commands.command_line import Subcommands
+from greybox.commands.command_line import Subcommands, effects_file_option
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
@@ -58,13 +58,7 @@ def add(commands: Subcommands) -> None:
         "--rate", type=float, metavar="HZ", help="resample the logs (default: the model's own rate)"
     )
     p.add_argument("--keep-ground", action="store_true", help="keep take-off and landing")
-    p.add_argument(
-        "--effects-file",
-        nargs="+",
-        default=[],
-        metavar="E.py",
-        help="Python files with the model's own effects",
-    )
+    effects_file_option(p, "Python files with the model's own effects")
     model_file_option(p)
     mcap_option(p)
     p.add_argument(

@@ -39,9 +39,20 @@ from greybox.workers import side_by_side
 Structure = frozenset[str]
 ARRIVED = (Code.CONVERGED, Code.NO_PROGRESS)
 """At the optimum, or at a kink (a delay of whole samples) where no step lowers the cost."""
-Solution = tuple[SearchSpace, FloatArray, Status, Value]
-"""What is sought, the unknowns (n,), how the solver ended, and the value there."""
-KINDS = (SearchSpace, Unknown, Status, Code, Value)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solution:
+    """Where the search of one task ended: what is sought, the unknowns `theta` (n,), how the solver
+    ended, and the value there."""
+
+    space: SearchSpace
+    theta: FloatArray
+    status: Status
+    value: Value
+
+
+PARTS = (Solution, SearchSpace, Unknown, Status, Code, Value)
 """What a solution is made of."""
 
 
@@ -220,19 +231,19 @@ class Flights:
                     yield place, answer
             yield from ((k, solution(set_up[k](), tasks[k])) for k in asked if k not in done)
 
-        found = answers(tasks, work, KINDS)
-        for task, make, (space, theta, status, value) in zip(tasks, set_up, found, strict=True):
-            evidence = -np.inf
+        found = answers(tasks, work, Solution, PARTS)
+        for task, make, there in zip(tasks, set_up, found, strict=True):
+            evidence, status, value = -np.inf, there.status, there.value
             loose = min(status.decrement, task.tolerance) > self.effort.rough
             if loose and status.code in ARRIVED:  # all that was asked
                 status = replace(status, code=Code.BEHIND)
             if value.valid and value.hessian is not None:
-                evidence = log_evidence(space, theta, value)
+                evidence = log_evidence(there.space, there.theta, value)
             self._known[task.structure] = Fitted(
                 structure=task.structure,
-                space=space,
+                space=there.space,
                 set_up=make,
-                theta=theta,
+                theta=there.theta,
                 value=value,
                 status=status,
                 log_evidence=evidence,
@@ -303,4 +314,5 @@ def solution(problem: Problem, task: Task) -> Solution:
         )
         theta, status = solver.solve(problem, start)
         value = replace(problem.evaluate(theta), data_hessian=None, scores=None)
-        return SearchSpace(unknowns=problem.unknowns), theta, status, value
+        space = SearchSpace(unknowns=problem.unknowns)
+        return Solution(space=space, theta=theta, status=status, value=value)

@@ -2,19 +2,16 @@
 over a record.
 
 The step is linearised symbolically in the error state (SX, sparse). The step itself is generated as
-C, its linearisation is a tape (`greybox.estimation.tape`); both are driven by a small hand-written
-loop (driver.c) that carries the sensitivities S = d(error state)/d(parameters). Without a C
-compiler the same functions run in CasADi's VM under the same recursion in NumPy: the same numbers,
-slower.
+C, its linearisation is a tape (`greybox.estimation.tape`); a recursion (`greybox.estimation.recursion`)
+carries both, and the sensitivities S = d(error state)/d(parameters), over the samples of a record.
 """
 
 from __future__ import annotations
 
-import ctypes
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
-from typing import Any, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import casadi as ca
 import numpy as np
@@ -23,16 +20,23 @@ import numpy.typing as npt
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, compiler, opened
 from greybox.estimation.cache import say
+from greybox.estimation.recursion import (
+    Compiled,
+    GainTable,
+    IntArray,
+    Interpreted,
+    OpenRuns,
+    Pass,
+    Rollout,
+    Sizes,
+)
 from greybox.estimation.reference_point import chart_jacobians, reference_step, symbols
 from greybox.estimation.tape_cache import linears
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import CASADI, FloatArray, evaluate, mapped
+from greybox.symbolic import CASADI, FloatArray, evaluate
 
-IntArray = npt.NDArray[np.int32]
-Whole = npt.NDArray[np.integer[Any]]
+Whole = npt.NDArray[np.int32 | np.int64]
 """Whole numbers of any size."""
-Pointer = object
-"""Memory as ctypes hands it to C."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,27 +64,6 @@ class Run:
             raise FitError(f"{what} is not finite after sample {before + self.failed_at}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class GainTable:
-    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative per
-    pattern (n_k, n_d, n_e), or None, in the columns `moving` (n_k, ascending) of the sensitivities;
-    None for the first n_k.
-
-    `zero[i]` true: pattern i corrects nothing (pure simulation).
-    """
-
-    gain: FloatArray
-    zero: IntArray
-    derivative: tuple[FloatArray, ...] | None = None
-    moving: IntArray | None = None
-
-    def moved_columns(self) -> IntArray:
-        """Columns of the sensitivities that the derivative is in, (n_k,)."""
-        if self.moving is not None:
-            return np.ascontiguousarray(self.moving, dtype=np.int32)
-        return np.arange(len(self.derivative[0]) if self.derivative else 0, dtype=np.int32)
-
-
 class Samples(TypedDict):
     """The samples of one record, as keywords of `Engine.run` and `Engine.windows`: `inputs` padded
     by `padded_inputs`, outputs (n, n_y; NaN where missing), mask (n, n_e), dt [s]."""
@@ -89,54 +72,6 @@ class Samples(TypedDict):
     outputs: FloatArray
     mask: FloatArray
     dt: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Pass:
-    """One pass as the recursion takes it: contiguous arrays, of which x (n_x,), s (n_d, n_s) and
-    those in `out` are written. Arrays that are not kept are None."""
-
-    x: FloatArray
-    s: FloatArray | None
-    u: FloatArray
-    y: FloatArray
-    mask: FloatArray
-    pattern: IntArray
-    gains: GainTable
-    p: FloatArray
-    dt: float
-    out: dict[str, FloatArray | None]
-
-    @property
-    def n(self) -> int:
-        """Number of samples."""
-        return self.y.shape[0]
-
-    @property
-    def ns(self) -> int:
-        """Number of columns of the sensitivities, 0 without them."""
-        return 0 if self.s is None else self.s.shape[1]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _OpenRuns:
-    """Many short open-loop runs as the recursion takes them: contiguous arrays, of which x (m,
-    n_x), s (m, n_d, n_s), e (r, n_e) and de (r, n_e, n_s) are written. `asked` (of the longest run):
-    which of its steps are kept, None for all."""
-
-    first: IntArray
-    length: IntArray
-    tail: IntArray
-    asked: IntArray | None
-    x: FloatArray
-    s: FloatArray | None
-    u: FloatArray
-    y: FloatArray
-    mask: FloatArray
-    p: FloatArray
-    dt: float
-    e: FloatArray
-    de: FloatArray | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +85,13 @@ class Windows:
     ends: FloatArray
     end_sensitivity: FloatArray | None
     failed_in: int | None
+
+    def demand_finite(self, what: str, rows: Whole | None = None) -> None:
+        """Raise `FitError` where the numbers of `what` stopped being finite, at the sample where
+        that window begins: of `rows` (m,), else one window a sample."""
+        if self.failed_in is not None:
+            at = self.failed_in if rows is None else rows[self.failed_in]
+            raise FitError(f"{what} is not finite from sample {at}")
 
 
 class Engine:
@@ -183,12 +125,10 @@ class Engine:
             self.past, self.future = dynamics.window
             names = [p.name for p in dynamics.parameters]
             self.active_index = np.array([names.index(a) for a in active], dtype=int)
-            self._place: IntArray | None = None
             self.built, self.columns = active, np.arange(len(active))
             self._functions()
-        self._library: ctypes.CDLL | None = None
-        if use_compiler and compiler() is not None:
-            self._compile()
+        made = self._compiled() if use_compiler and compiler() is not None else None
+        self._recursion = self._interpreted() if made is None else made
 
     def __reduce__(self) -> tuple[object, ...]:
         """What is compiled stays in its process: another one builds it again, from the cache."""
@@ -211,19 +151,39 @@ class Engine:
         some.active = active
         at = np.array([self.active.index(a) for a in active], dtype=int)
         some.columns, some.active_index = self.columns[at], self.active_index[at]
-        some._place = np.full(len(self.built), -1, dtype=np.int32)
-        some._place[some.columns] = np.arange(len(active))
+        if isinstance(self._recursion, Compiled):
+            place = np.full(len(self.built), -1, dtype=np.int32)
+            place[some.columns] = np.arange(len(active))
+            some._recursion = replace(self._recursion, place=place)
+        else:
+            some._recursion = replace(self._recursion, columns=some.columns)
         return some
 
     @property
     def compiled(self) -> bool:
         """Whether the step runs as compiled C."""
-        return self._library is not None
+        return isinstance(self._recursion, Compiled)
 
     @property
-    def _c(self) -> ctypes.CDLL:
-        assert self._library is not None
-        return self._library
+    def _sizes(self) -> Sizes:
+        return Sizes(
+            states=self.nx,
+            errors=self.nd,
+            innovations=self.ne,
+            outputs=self.ny,
+            inputs=self.nu,
+            window=self.past + 1 + self.future,
+        )
+
+    def _interpreted(self) -> Interpreted:
+        return Interpreted(
+            sizes=self._sizes,
+            value=self.value,
+            inject=self.inject,
+            pred=self.pred,
+            slope=lambda: self.slope,
+            columns=self.columns,
+        )
 
     def _functions(self) -> None:
         d, at = self.dynamics, reference_step(self.dynamics, ())
@@ -265,7 +225,8 @@ class Engine:
                 ex, ep = ca.SX(self.ne, self.nd), ca.SX(self.ne, len(chosen))
             return ca.Function("gb_slope", inputs, [a, b, ex, ep])
 
-    def _compile(self) -> None:
+    def _compiled(self) -> Compiled | None:
+        """The recursion in C; None where it cannot be compiled."""
         with CASADI:
             generator = ca.CodeGenerator("gb_model.c", {"with_header": False})
             for f in (self.value, self.move):
@@ -283,7 +244,7 @@ class Engine:
             ]
         )
         if library is None:
-            return
+            return None
         names = [d.name for d in self.dynamics.parameters]
         try:
             with CASADI:
@@ -292,15 +253,12 @@ class Engine:
                     f"{self.built} of {names}, sensitive: {self.sensitive}; {self.move.serialize()}",
                     {"slope": lambda: self.slope, "turn": lambda: self.turn},
                 )
-                self._slope, self._turn = found["slope"], found["turn"]
         except ModelError as error:
             say(f"{error}; CasADi's VM runs the same equations, slower")
-            return
-        library.gb_buffer.restype = ctypes.c_longlong
-        sizes = [ctypes.c_longlong() for _ in range(4)]
-        library.gb_sizes(*(ctypes.byref(v) for v in sizes))
-        self._work = [v.value for v in sizes]
-        self._library = library
+            return None
+        return Compiled(
+            library=library, sizes=self._sizes, slope=found["slope"], turn=found["turn"]
+        )
 
     def moved(self, x: FloatArray, d: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x (n_x,) moved by an error d (n_d,), and the derivative in d, (n_d, n_d), in the chart of
@@ -394,7 +352,7 @@ class Engine:
             k: (np.zeros(v) if k in want and (ns or "sens" not in k) else None)
             for k, v in shapes.items()
         }
-        one = _Pass(
+        one = Pass(
             x=np.array(x0, dtype=np.float64),
             s=None if s0 is None else np.array(s0, dtype=np.float64, order="C"),
             u=np.ascontiguousarray(samples["inputs"]),
@@ -406,114 +364,8 @@ class Engine:
             dt=samples["dt"],
             out=out,
         )
-        bad = self._run_c(one) if self.compiled else self._run_vm(one)
+        bad = self._recursion.run(one)
         return Run(**out, end=one.x, end_sensitivity=one.s, failed_at=None if bad == 0 else bad - 1)
-
-    def _scratch(self, nk: int = 0) -> tuple[Pointer, Pointer, Pointer, Pointer, FloatArray]:
-        a, r, i, w = self._work
-        sizes = self.nx, self.nd, self.ne, self.ny, nk
-        length = int(self._c.gb_buffer(*sizes, *self._tapes))
-        return (
-            (ctypes.c_void_p * a)(),
-            (ctypes.c_void_p * r)(),
-            (ctypes.c_longlong * i)(),
-            (ctypes.c_double * w)(),
-            np.empty(length),
-        )
-
-    @property
-    def _tapes(self) -> tuple[Pointer, Pointer]:
-        return ctypes.byref(self._slope.carrier), ctypes.byref(self._turn.carrier)
-
-    def _run_c(self, one: _Pass) -> int:
-        ns, gains, out = one.ns, one.gains, one.out
-        slopes = [np.ascontiguousarray(v) for v in gains.derivative or ()] if ns else []
-        moving = gains.moved_columns()
-        nk = len(slopes[0]) if slopes else 0
-        arg, res, iw, w, buffer = self._scratch(nk)
-        gain = np.ascontiguousarray(gains.gain)
-        zero = np.ascontiguousarray(gains.zero, dtype=np.int32)
-        pointers = (ctypes.c_void_p * len(slopes))(*(v.ctypes.data for v in slopes)) if nk else None
-        return int(
-            self._c.gb_run(
-                one.n,
-                self.nx,
-                self.nd,
-                self.ne,
-                self.ny,
-                self.nu,
-                ns,
-                nk,
-                *self._tapes,
-                _ptr(one.x),
-                _ptr(one.s),
-                _ptr(one.u),
-                _ptr(one.y),
-                _ptr(one.mask),
-                _ptr(one.pattern),
-                _ptr(one.p),
-                ctypes.c_double(one.dt),
-                _ptr(gain),
-                _ptr(zero),
-                pointers,
-                _ptr(moving),
-                _ptr(out["states"]),
-                _ptr(out["innovations"]),
-                _ptr(out["outputs"]),
-                _ptr(out["sensitivity"]),
-                _ptr(out["state_sensitivity"]),
-                _ptr(self._place),
-                arg,
-                res,
-                iw,
-                w,
-                _ptr(buffer),
-            )
-        )
-
-    def _run_vm(self, one: _Pass) -> int:
-        x, s, u, mask, gains = one.x, one.s, one.u, one.mask, one.gains
-        width = self.past + 1 + self.future
-        na = len(self.active)
-        for t in range(one.n):
-            at = (x, u[t : t + width].T, one.y[t], one.p, one.dt)
-            xf, e, yh = self.value(*at)
-            e = np.asarray(e.full()).ravel() * (mask[t] != 0)
-            for key, value in (
-                ("states", x),
-                ("innovations", e),
-                ("outputs", np.asarray(yh.full()).ravel()),
-            ):
-                if (kept := one.out[key]) is not None:
-                    kept[t] = value
-            if s is not None:
-                if (kept := one.out["state_sensitivity"]) is not None:
-                    kept[t] = s
-                a, b, ex, ep = self.slope(*at)
-                de = ex.full() @ s
-                de[:, :na] += ep.full()[:, self.columns]
-                de *= (mask[t] != 0)[:, None]
-                if (kept := one.out["sensitivity"]) is not None:
-                    kept[t] = de
-                moved = a.full() @ s
-                moved[:, :na] += b.full()[:, self.columns]
-            g = int(one.pattern[t])
-            if gains.zero[g]:
-                x[:] = np.asarray(xf.full()).ravel()
-                if s is not None:
-                    s[:] = moved
-            else:
-                xn, j1, j2 = self.inject(xf, gains.gain[g] @ e)
-                x[:] = np.asarray(xn.full()).ravel()
-                if s is not None:
-                    push = gains.gain[g] @ de
-                    if gains.derivative is not None:
-                        slope = gains.derivative[g]
-                        push[:, gains.moved_columns()] += (slope @ e).T
-                    s[:] = j1.full() @ moved + j2.full() @ push
-            if not np.isfinite(x).all():
-                return 1 + t
-        return 0
 
     def windows(
         self,
@@ -544,7 +396,7 @@ class Engine:
             asked[steps] = 1
             before = np.concatenate([[0], np.cumsum(asked)])
             kept = int((before[length] - before[length - tail]).sum())
-        runs = _OpenRuns(
+        runs = OpenRuns(
             first=first,
             length=length,
             tail=tail,
@@ -559,7 +411,7 @@ class Engine:
             e=np.zeros((kept, self.ne)),
             de=None if s0 is None else np.zeros((kept, self.ne, ns)),
         )
-        bad = self._windows_c(runs) if self.compiled else self._windows_vm(runs)
+        bad = self._recursion.windows(runs)
         return Windows(
             innovations=runs.e,
             sensitivity=runs.de,
@@ -567,83 +419,6 @@ class Engine:
             end_sensitivity=runs.s,
             failed_in=None if bad == 0 else bad - 1,
         )
-
-    def _windows_c(self, runs: _OpenRuns) -> int:
-        ns = 0 if runs.s is None else runs.s.shape[2]
-        arg, res, iw, w, buffer = self._scratch()
-        return int(
-            self._c.gb_windows(
-                len(runs.first),
-                _ptr(runs.first),
-                _ptr(runs.length),
-                _ptr(runs.tail),
-                _ptr(runs.asked),
-                self.nx,
-                self.nd,
-                self.ne,
-                self.ny,
-                self.nu,
-                ns,
-                *self._tapes,
-                _ptr(runs.x),
-                _ptr(runs.s),
-                _ptr(runs.u),
-                _ptr(runs.y),
-                _ptr(runs.mask),
-                _ptr(runs.p),
-                ctypes.c_double(runs.dt),
-                _ptr(runs.e),
-                _ptr(runs.de),
-                _ptr(self._place),
-                arg,
-                res,
-                iw,
-                w,
-                _ptr(buffer),
-            )
-        )
-
-    def _windows_vm(self, runs: _OpenRuns) -> int:
-        """All windows together, a sample at a time; one that stops being finite is left where it
-        was."""
-        step = np.arange(runs.length.max(initial=0))
-        wanted = step >= (runs.length - runs.tail)[:, None]
-        wanted &= step < runs.length[:, None]
-        if runs.asked is not None:
-            wanted &= runs.asked != 0
-        # Where the innovations of each window and sample go: in the order of both.
-        place = np.cumsum(wanted).reshape(wanted.shape) - 1
-        width, na = np.arange(self.past + 1 + self.future), len(self.active)
-        well = np.ones(len(runs.first), dtype=bool)
-        for t in step.tolist():
-            live = np.flatnonzero((runs.length > t) & well)
-            rows, keep, m = runs.first[live] + t, wanted[live, t], live.size
-            if not m:
-                break
-            at = (
-                runs.x[live].T,
-                runs.u[rows[:, None] + width].transpose(2, 0, 1).reshape(self.nu, -1),
-                runs.y[rows].T,
-                np.repeat(runs.p[:, None], m, axis=1),
-                np.full((1, m), runs.dt),
-            )
-            after, e, _ = (v.full().T for v in mapped(self.value, m)(*at))
-            seen = runs.mask[rows] != 0
-            runs.e[place[live[keep], t]] = (e * seen)[keep]
-            if runs.s is not None and runs.de is not None:
-                s = runs.s[live]
-                a, b, ex, ep = (
-                    v.full().reshape(v.shape[0], m, -1).transpose(1, 0, 2)
-                    for v in mapped(self.slope, m)(*at)
-                )
-                de, moved = ex @ s, a @ s
-                de[:, :, :na] += ep[:, :, self.columns]
-                moved[:, :, :na] += b[:, :, self.columns]
-                runs.de[place[live[keep], t]] = (de * seen[:, :, None])[keep]
-                runs.s[live] = moved
-            runs.x[live] = after
-            well[live] = np.isfinite(after).all(axis=1)
-        return 0 if well.all() else 1 + int(np.argmin(well))
 
     def rollout(
         self,
@@ -661,46 +436,18 @@ class Engine:
         m = len(rows)
         y = np.zeros((m, horizon, self.ny))
         states = np.zeros((m, horizon, self.nx)) if want_states else None
-        starts = np.ascontiguousarray(starts, dtype=np.float64)
-        u, p = np.ascontiguousarray(inputs), np.ascontiguousarray(p, dtype=np.float64)
-        if self.compiled:
-            arg, res, iw, w, buffer = self._scratch()
-            k0 = np.ascontiguousarray(rows, dtype=np.int32)
-            self._c.gb_rollout(
-                m,
-                horizon,
-                self.nx,
-                self.ny,
-                self.nu,
-                _ptr(starts),
-                _ptr(k0),
-                _ptr(u),
-                _ptr(p),
-                ctypes.c_double(dt),
-                _ptr(y),
-                _ptr(states),
-                arg,
-                res,
-                iw,
-                w,
-                _ptr(buffer),
+        self._recursion.rollout(
+            Rollout(
+                starts=np.ascontiguousarray(starts, dtype=np.float64),
+                rows=np.ascontiguousarray(rows, dtype=np.int32),
+                u=np.ascontiguousarray(inputs),
+                p=np.ascontiguousarray(p, dtype=np.float64),
+                dt=dt,
+                y=y,
+                states=states,
             )
-            return y, states
-        width = self.past + 1 + self.future
-        step = mapped(self.pred, m)
-        x = starts.T
-        for h in range(horizon):
-            windows = np.concatenate([u[k + h : k + h + width].T for k in rows], axis=1)
-            after, yh = step(x, windows, np.repeat(p[:, None], m, 1), np.full((1, m), dt))
-            y[:, h] = yh.full().T
-            if states is not None:
-                states[:, h] = np.asarray(x).T
-            x = after.full()
+        )
         return y, states
-
-
-def _ptr(array: npt.NDArray[np.generic] | None) -> Pointer:
-    return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
 
 
 @functools.lru_cache(maxsize=64)

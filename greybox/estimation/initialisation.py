@@ -16,13 +16,13 @@ import numpy as np
 import scipy.optimize
 
 from greybox.errors import DataError, FitError
-from greybox.estimation.engine import GainTable
 from greybox.estimation.gain import Riccati, stationary
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.prior import prior_terms
 from greybox.estimation.problem import IndexArray, Problem
 from greybox.estimation.record import Record, hold_missing
+from greybox.estimation.recursion import GainTable
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
 from greybox.symbolic import FloatArray
 

@@ -15,7 +15,8 @@ from greybox.data.raw import is_numeric
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.channel_pattern import Pattern, pattern_of
-from greybox.estimation.engine import Engine, IntArray, Samples
+from greybox.estimation.engine import Engine, Samples
+from greybox.estimation.recursion import IntArray
 from greybox.model.dynamics import Dynamics
 from greybox.model.noise import lasting_errors
 from greybox.model.state_blocks import usual_of

@@ -27,7 +27,6 @@ import numpy.typing as npt
 from greybox.errors import FitError
 from greybox.estimation.channel_pattern import Pattern
 from greybox.estimation.elements import Element, System
-from greybox.estimation.engine import GainTable, IntArray
 from greybox.estimation.gain import (
     Riccati,
     SystemSamples,
@@ -39,6 +38,7 @@ from greybox.estimation.gain import (
 )
 from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.record import Record
+from greybox.estimation.recursion import GainTable, IntArray
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import BoolArray, FloatArray
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ from greybox.estimation.ahead import run_ahead
 from greybox.estimation.engine import engine_for
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray, Layout
-from greybox.takes import MODEL, takes
+from greybox.takes import MODEL, Named, takes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,17 +93,12 @@ def _finite(values: object, what: str) -> FloatArray:
     return array
 
 
-def _named(given: object) -> dict[str, Any] | None:
-    """What a mapping, or a frame or series of pandas, holds by name; None of anything else."""
-    items = getattr(given, "items", None)
-    return None if items is None else dict(items())
-
-
 def _columns(
     given: npt.ArrayLike | Mapping[str, npt.ArrayLike], layout: Layout, what: str
 ) -> FloatArray:
     """(n, columns) of a layout. Raises `DataError`, `UnknownNameError`."""
-    if (named := _named(given)) is not None:
+    if isinstance(given, Named):
+        named = dict(given.items())
         for name in named:
             if name not in layout.names:
                 raise UnknownNameError("input", str(name), layout.names, where=what)
@@ -128,8 +122,8 @@ def _start(given: npt.ArrayLike | Mapping[str, float] | None, model: IdentifiedM
     """x0 (n_x,). Raises `DataError`, `UnknownNameError`."""
     names = model.dynamics.states.names
     start = np.array(model.reference_state, dtype=np.float64)
-    if (named := _named(given)) is not None:
-        for name, value in named.items():
+    if isinstance(given, Named):
+        for name, value in given.items():
             if name not in names:
                 raise UnknownNameError("state", str(name), names, where="x0")
             start[names.index(name)] = float(_finite(value, f"x0 of {name}"))

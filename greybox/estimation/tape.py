@@ -17,7 +17,6 @@ import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -189,16 +188,16 @@ class Linear:
         }
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Linear:
+    def from_arrays(cls, arrays: Mapping[str, npt.NDArray[np.generic]]) -> Linear:
         """Inverse of `arrays`."""
         tape = Tape(
-            instructions=arrays["instructions"],
-            constants=arrays["constants"],
-            slots=int(arrays["slots"]),
-            lengths=arrays["lengths"],
+            instructions=np.asarray(arrays["instructions"], dtype=np.uint16),
+            constants=np.asarray(arrays["constants"], dtype=np.float64),
+            slots=int(arrays["slots"].item()),
+            lengths=np.asarray(arrays["lengths"], dtype=np.int64),
         )
         many = sum(name.startswith("sparsity") for name in arrays)
-        return cls(tape, [arrays[f"sparsity{i}"] for i in range(many)])
+        return cls(tape, [np.asarray(arrays[f"sparsity{i}"], dtype=np.int64) for i in range(many)])
 
 
 @functools.cache

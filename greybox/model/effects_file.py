@@ -165,7 +165,7 @@ def _instances(module: ModuleType, path: str) -> tuple[Effect, ...]:
         )
     found = []
     for kind in kinds:
-        missing = sorted(getattr(kind, "__abstractmethods__", ()))
+        missing = sorted(kind.__abstractmethods__)
         missing += [
             a
             for a in ("name", "stage", "summary", "formula")

@@ -21,7 +21,7 @@ import numpy as np
 
 from greybox.distribution import VERSION
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
-from greybox.files import Json, Parsed, checksum, read_json, to_plain, write_json
+from greybox.files import MALFORMED, Json, Parsed, checksum, read_json, to_plain, write_json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import EffectiveLag, effective_lag
@@ -338,14 +338,7 @@ class IdentifiedModel(Shown):
                 dynamics = _physics_from_dict(data, effects, sensors, where)
             model = _identified_from_dict(data, with_parts(dynamics, _noise_parts(data)), where)
             _check(model)
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            IndexError,
-            AttributeError,
-            ArithmeticError,
-        ) as error:
+        except MALFORMED as error:
             if isinstance(error, GreyboxError):
                 raise
             raise FileFormatError(

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from greybox.errors import FileFormatError, ModelError
-from greybox.files import Json, Parsed, checksum, read_json, to_plain, write_json
+from greybox.files import MALFORMED, Json, Parsed, checksum, read_json, to_plain, write_json
 from greybox.model.matrices import Matrices, spectral_radius
 from greybox.model.parameter import Parameter
 from greybox.shown import Cell, Shown
@@ -407,7 +407,7 @@ class LinearModel(Shown):
                 input_offset=np.asarray(body["input_offset"], dtype=float),
                 output_offset=np.asarray(body["output_offset"], dtype=float),
             )
-        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        except MALFORMED as error:
             raise FileFormatError(f"not a linear model ({error})", where=where) from None
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -93,9 +93,8 @@ def _best(sensor: Sensor, vehicle: Vehicle) -> FloatArray:
 
 
 def _of_columns(sensor: Sensor, vehicle: Vehicle) -> FloatArray:
-    """The same per column; a unit quaternion turns by twice what its components change."""
-    best, n = _best(sensor, vehicle), len(sensor.signals(vehicle))
-    return best if n == len(best) else np.full(n, 0.5 * float(best.mean()))
+    """The same per column."""
+    return sensor.noise_of_columns(_best(sensor, vehicle))
 
 
 def _has_none(sensor: Sensor, data: Dataset, vehicle: Vehicle) -> bool:

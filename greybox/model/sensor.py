@@ -96,6 +96,15 @@ class Sensor(ABC):
         """
         return rotation.T @ (y - y_hat) if self.world else y - y_hat
 
+    def noise_of_columns(self, innovation: FloatArray) -> FloatArray:
+        """White noise of each column (standard deviation, its unit) that is noise `innovation` of
+        each innovation component. One column belongs to each where nothing else is declared."""
+        return innovation
+
+    def noise_of_innovation(self, columns: FloatArray) -> FloatArray:
+        """The reverse: what white noise of each column is in each innovation component."""
+        return columns
+
     def starts(self, readings: FloatArray, t: FloatArray) -> tuple[Start, ...]:
         """What the first samples say of the states: `readings` (n, columns), NaN = missing, at the
         times `t` [s]."""

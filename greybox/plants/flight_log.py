@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.plants.controller import Mixer, Setpoint
-from greybox.plants.vectors import Number, Quaternion, Vector
+from greybox.plants.vectors import Command, Number, Quaternion, Vector
 
 Array = NDArray[np.float64]
 Log = dict[str, Array]
@@ -45,11 +45,11 @@ class Plant(Protocol):
         """Start anew at t = 0."""
         ...
 
-    def step(self, u: Any, dt: float | None = None) -> None:
+    def step(self, u: Command, dt: float | None = None) -> None:
         """Hold command u for dt [s]."""
         ...
 
-    def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Number]:
+    def measure(self, u: Command | None = None, *, noise: bool = True) -> dict[str, Number]:
         """Measurements by flight-log column; u is the command that begins now."""
         ...
 

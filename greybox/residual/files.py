@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from greybox.errors import FileFormatError, GreyboxError
-from greybox.files import Json, Parsed, checksum, read_json
+from greybox.files import MALFORMED, Json, Parsed, checksum, read_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel
 from greybox.model.sensor import Sensor
@@ -64,7 +64,7 @@ def load_model(
             else FeaturePosterior.from_dict(data["learned"])
         )
         return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
-    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
+    except MALFORMED as error:
         if isinstance(error, GreyboxError):
             raise
         raise FileFormatError(

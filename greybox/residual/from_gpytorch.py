@@ -177,13 +177,11 @@ def _copy(model: Model, likelihood: Model) -> tuple[Model, Model, float]:
         if kept is not None:
             model.prediction_strategy = kept
     own, noise = pair
-    strategy = getattr(own, "variational_strategy", None)
     jitter = 0.0
-    while strategy is not None:
+    for strategy in _strategies(own):
         if getattr(strategy, "jitter_val", None) is not None:
             jitter = float(strategy.jitter_val)
             strategy.jitter_val = jitter
-        strategy = getattr(strategy, "base_variational_strategy", None)
     own, noise = own.double(), noise.double()
     own.eval()
     noise.eval()
@@ -200,8 +198,7 @@ def _copy(model: Model, likelihood: Model) -> tuple[Model, Model, float]:
 def _settle(model: Model) -> None:
     """Variational parameters as GPyTorch's next call would have them. Raises `ModelError` where
     that would draw them."""
-    strategy = getattr(model, "variational_strategy", None)
-    while strategy is not None:
+    for strategy in _strategies(model):
         ready = getattr(strategy, "variational_params_initialized", None)
         if ready is not None and not bool(numbers(ready)):
             raise ModelError(
@@ -211,6 +208,13 @@ def _settle(model: Model) -> None:
         whitened = getattr(strategy, "updated_strategy", None)
         if whitened is not None and not bool(numbers(whitened)):
             _reference(model)  # a state of an old GPyTorch, which the first call converts
+
+
+def _strategies(model: Model) -> Iterator[Model]:
+    """Its variational strategy and what this wraps, the outermost first; none of an exact GP."""
+    strategy = getattr(model, "variational_strategy", None)
+    while strategy is not None:
+        yield strategy
         strategy = getattr(strategy, "base_variational_strategy", None)
 
 
@@ -238,9 +242,7 @@ def _reference(model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
     at a few points."""
     torch = sys.modules["torch"]
     inputs = getattr(model, "train_inputs", None)
-    outer = getattr(model, "variational_strategy", None)
-    strategy: Model = getattr(outer, "base_variational_strategy", outer)
-    seen = inputs[0] if inputs is not None else strategy.inducing_points
+    seen = inputs[0] if inputs is not None else [*_strategies(model)][-1].inducing_points
     batch = tuple(seen.shape[:-2]) if inputs is not None else ()
     x = numbers(seen)
     x = x[:, None] if x.ndim == 1 else x.reshape(-1, *x.shape[-2:])[0]

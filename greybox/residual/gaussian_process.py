@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
-from greybox.files import Json, Parsed
+from greybox.files import MALFORMED, Json, Parsed
 from greybox.residual.array_file import read_with_arrays, write_with_arrays
 from greybox.residual.as_function import AsFunction
 from greybox.residual.covariances.covariance import (
@@ -37,6 +37,7 @@ from greybox.residual.covariances.covariance import (
     covariance_from_dict,
     frozen,
 )
+from greybox.residual.gp_inputs import rows_of, standardised
 from greybox.residual.posterior import QUANTITIES, Domain
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
@@ -236,14 +237,7 @@ class GaussianProcess(AsFunction, Shown):
                 "the weights of this GP cannot change at run time",
                 fix="leave gp.weights out of --runtime",
             )
-        if not isinstance(z, (ca.SX, ca.MX, ca.DM)):
-            z = ca.DM(np.asarray(z, dtype=np.float64))
-        n_in = len(self.inputs)
-        if z.numel() != n_in:
-            raise ModelError(
-                "the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel())
-            )
-        x = (ca.reshape(z, n_in, 1) - self.input_mean) / self.input_scale
+        x = standardised(z, self.input_mean, self.input_scale)
         columns = [base.covariance.column(base.support, x, ca) for base in self.bases]
         told = [self._latent(latent, x, columns, wanted) for latent in self.latents]
         mix, square = ca.sparsify(ca.DM(self.mixing)), ca.sparsify(ca.DM(self.mixing**2))
@@ -311,7 +305,7 @@ class GaussianProcess(AsFunction, Shown):
         self, z: npt.ArrayLike, noise: bool | str = False
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (N, n_out) at the rows of z (N, n_in)."""
-        both, n = evaluate(self._moments, self._rows(z)), len(self.outputs)
+        both, n = evaluate(self._moments, rows_of(z, len(self.inputs))), len(self.outputs)
         return both[:, :n].copy(), both[:, n:] + self.noise_variance(noise)
 
     def evaluate_mean(self, z: npt.ArrayLike) -> FloatArray:
@@ -320,17 +314,7 @@ class GaussianProcess(AsFunction, Shown):
 
     def evaluate_distance(self, z: npt.ArrayLike) -> FloatArray:
         """`distance` (N,) at the rows of z (N, n_in)."""
-        return evaluate(self._distance, self._rows(z))[:, 0]
-
-    def _rows(self, z: npt.ArrayLike) -> FloatArray:
-        rows = np.ascontiguousarray(z, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != len(self.inputs):
-            raise ModelError(
-                "the GP's inputs have the wrong shape",
-                expected=f"(N, {len(self.inputs)})",
-                got=str(rows.shape),
-            )
-        return rows
+        return evaluate(self._distance, rows_of(z, len(self.inputs)))[:, 0]
 
     # -------------------- files
 
@@ -396,14 +380,7 @@ class GaussianProcess(AsFunction, Shown):
                 domain=Domain(**plain["domain"]),
                 **{name: plain[name] for name in _SCALES},
             )
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            IndexError,
-            AttributeError,
-            ArithmeticError,
-        ) as error:
+        except MALFORMED as error:
             raise FileFormatError(
                 f"not a Gaussian process: {error!r}", fix="pass what greybox wrote"
             ) from None

@@ -32,10 +32,11 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
-from greybox.files import Json, Parsed, checksum, read_json, write_atomic, write_json
+from greybox.files import MALFORMED, Json, Parsed, checksum, read_json, write_atomic, write_json
 from greybox.plots import Curve, panels
 from greybox.residual.array_file import load_arrays, packed
 from greybox.residual.as_function import AsFunction
+from greybox.residual.gp_inputs import rows_of, standardised
 from greybox.residual.kernels import Kernel
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
@@ -239,7 +240,9 @@ class GPPosterior(AsFunction, Shown):
         wanted = set(which)
         for name in wanted - {*QUANTITIES, "distances"}:
             raise UnknownNameError("GP quantity", name, (*QUANTITIES, "distances"))
-        rows = self._standardised(self._standardised_input(z), wanted, weights)
+        rows = self._standardised(
+            standardised(z, self.input_mean, self.input_scale), wanted, weights
+        )
         variance_scale = self.output_scale**2 * self.variance_factor
         out: dict[str, Expr] = {}
         if "mean" in wanted:
@@ -263,17 +266,6 @@ class GPPosterior(AsFunction, Shown):
             active = [rows["distances"][j] for j, is_active in enumerate(self.active) if is_active]
             out["distance"] = ca.mmax(ca.vertcat(*active)) if active else ca.DM(1.0)
         return out
-
-    def _standardised_input(self, z: Expr) -> Expr:
-        """z as the column that the kernels take. Raises `ModelError` for a wrong length."""
-        if not isinstance(z, (ca.SX, ca.MX, ca.DM)):
-            z = ca.DM(np.asarray(z, dtype=np.float64))
-        n_in = len(self.inputs)
-        if z.numel() != n_in:
-            raise ModelError(
-                "the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel())
-            )
-        return (ca.reshape(z, n_in, 1) - self.input_mean) / self.input_scale
 
     def _standardised(
         self, x: Expr, wanted: set[str], weights: Expr | None
@@ -356,18 +348,18 @@ class GPPosterior(AsFunction, Shown):
     ) -> tuple[FloatArray, FloatArray]:
         """(mean, variance), each (N, n_out), at the rows of z (N, n_in): the expressions above over
         many samples."""
-        both = evaluate(self._moments, self._rows(z))
+        both = evaluate(self._moments, rows_of(z, len(self.inputs)))
         n = len(self.outputs)
         return both[:, :n].copy(), both[:, n:] + self.noise_variance(noise)
 
     def evaluate_mean(self, z: npt.ArrayLike) -> FloatArray:
         """The mean alone, (N, n_out), at the rows of z (N, n_in); about ten times cheaper than
         `evaluate`."""
-        return evaluate(self._mean, self._rows(z))
+        return evaluate(self._mean, rows_of(z, len(self.inputs)))
 
     def evaluate_distance(self, z: npt.ArrayLike) -> FloatArray:
         """`distance` (N,) at the rows of z (N, n_in)."""
-        return evaluate(self._distance, self._rows(z))[:, 0]
+        return evaluate(self._distance, rows_of(z, len(self.inputs)))[:, 0]
 
     def _shown_text(self) -> str:
         """What it learned from what, with how many points."""
@@ -428,16 +420,6 @@ class GPPosterior(AsFunction, Shown):
             )
             rows[f"{name} [{self.outputs.signals[j].unit}]"] = [curve]
         return panels(rows, x=f"{along} [{self.inputs.signals[column].unit}]", ax=ax)
-
-    def _rows(self, z: npt.ArrayLike) -> FloatArray:
-        rows = np.ascontiguousarray(z, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != len(self.inputs):
-            raise ModelError(
-                "the GP's inputs have the wrong shape",
-                expected=f"(N, {len(self.inputs)})",
-                got=str(rows.shape),
-            )
-        return rows
 
     # --------------------------------------------------------------------------------------- files
 
@@ -514,14 +496,7 @@ class GPPosterior(AsFunction, Shown):
                 **{name: plain[name] for name in _VECTORS},
                 **values,
             )
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            IndexError,
-            AttributeError,
-            ArithmeticError,
-        ) as error:
+        except MALFORMED as error:
             raise FileFormatError(
                 f"not a GP posterior: {error!r}", fix="pass what greybox wrote"
             ) from None

@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import gpytorch
 import numpy as np
@@ -43,14 +42,14 @@ def one_thread() -> Iterator[None]:
 class _FadedLinear(gpytorch.kernels.LinearKernel):
     """GPyTorch's linear kernel of the features of `Kernel.features`."""
 
-    def __init__(self, reach: FloatArray, **kwargs: Any) -> None:
+    def __init__(self, reach: FloatArray, **kwargs: object) -> None:
         super().__init__(ard_num_dims=len(reach), **kwargs)
         self.register_buffer("reach", torch.tensor(reach, dtype=torch.float64))
 
     def _features(self, x: torch.Tensor) -> torch.Tensor:
         return x / (1.0 + ((x / self.reach) ** FADE_POWER).sum(-1, keepdim=True))
 
-    def forward(self, x1: torch.Tensor, x2: torch.Tensor, **kwargs: Any) -> LinearOperator:
+    def forward(self, x1: torch.Tensor, x2: torch.Tensor, **kwargs: object) -> LinearOperator:
         """The covariance of GPyTorch's kernel protocol."""
         return super().forward(self._features(x1), self._features(x2), **kwargs)
 

@@ -8,8 +8,9 @@ recursion is differentiated through).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -17,6 +18,9 @@ import numpy as np
 from greybox.errors import GreyboxError
 from greybox.symbolic import Expr, FloatArray
 from mpc_export.tube.solver import TubeSolver
+
+Setting = bool | int | float | str
+"""Value of an option of IPOPT or CasADi."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +49,7 @@ class IpoptSolver:
         solver: TubeSolver,
         *,
         backoff: Literal["fixed", "full"] = "fixed",
-        options: dict[str, Any] | None = None,
+        options: Mapping[str, Setting] | None = None,
     ) -> None:
         self.solver, self.full = solver, backoff == "full"
         s = self.size = solver.sizes
@@ -90,7 +94,7 @@ class IpoptSolver:
         parameters = ca.vertcat(*(ca.vec(v) for v in (*given.values(), *scalars.values())))
         variables = ca.vertcat(*x, *u, *slack)
         problem = {"x": variables, "f": cost, "g": ca.vertcat(*g), "p": parameters}
-        settings: dict[str, Any] = {
+        settings: dict[str, Setting] = {
             "ipopt.print_level": 0,
             "print_time": False,
             "ipopt.tol": 1e-9,

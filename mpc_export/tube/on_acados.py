@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,9 @@ from mpc_export.acados import MAX_ITERATIONS, first_order, limit_slopes, robust_
 from mpc_export.exported import of
 from mpc_export.tube.problem_expressions import Problem
 from mpc_export.tube.solver import Outcome, TubeSolver
+
+if TYPE_CHECKING:
+    from acados_template import AcadosOcpSolver
 
 
 def acados_solver(
@@ -30,7 +33,7 @@ def acados_solver(
     tolerance: float,
     limited_end: bool = False,
     optimise: str = "-O3 -march=native",
-) -> Any:
+) -> AcadosOcpSolver:
     """An `AcadosOcpSolver` inside a `mpc_export.acados.session` with its `home`; generated code
     goes to `work`. Parameters of a stage: ref, planes, x_end. limited_end: the last stage keeps
     the limits too. optimise: flags of the compiler."""

@@ -23,6 +23,7 @@ from greybox.plants.noise import SensorNoise, axes
 from greybox.plants.quadrotor import STATES
 from greybox.plants.vectors import (
     ZERO,
+    Command,
     Quaternion,
     Vector,
     add,
@@ -288,7 +289,7 @@ class ForeignPlant(ABC):
                 pieces.append((duration, command))
         return pieces
 
-    def step(self, u: Sequence[float], dt: float | None = None) -> None:
+    def step(self, u: Command, dt: float | None = None) -> None:
         """Hold command u (n,) for dt [s] (default: sample_time).
 
         Raises ValueError unless there is one command per rotor.
@@ -359,7 +360,7 @@ class ForeignPlant(ABC):
             return self._read(self._now())
         return min(self._kept, key=lambda kept: abs(kept[0] - (self.time - delay)))[1]
 
-    def measure(self, u: Sequence[float] | None = None, *, noise: bool = True) -> dict[str, float]:
+    def measure(self, u: Command | None = None, *, noise: bool = True) -> dict[str, float]:
         """Measurements at the present time by flight-log column.
 
         u: the command that begins now, if already known; else the last one is reported. Repeating

@@ -31,7 +31,7 @@ from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.tube.controller import TubeController
-from mpc_export.tube.ipopt import IpoptSolver
+from mpc_export.tube.ipopt import IpoptSolver, Setting
 from mpc_export.tube.stages import block
 from scenarios.studies.tube_flights import PROBLEM, controller, flight
 from scenarios.studies.tube_mpc import models
@@ -41,7 +41,7 @@ SEED = TRAINING_SEEDS[30]
 APART = 0.15
 """Plans that touch a tightened limit within the short horizon are computed again, at least this far
 apart [s]."""
-OPTIONS = {
+OPTIONS: dict[str, Setting] = {
     "ipopt.hessian_approximation": "limited-memory",
     "ipopt.tol": 1e-6,
     "ipopt.max_iter": 400,

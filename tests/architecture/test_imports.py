@@ -190,9 +190,25 @@ def test_greybox_reaches_its_users_only_from_commands_and_inside_functions():
                     wrong.append(
                         say(path, found, "only greybox/cli.py and greybox/commands/ may reach it")
                     )
-                elif not found.inside_function:
-                    wrong.append(say(path, found, "only inside a function"))
+                elif not (found.inside_function or found.typing_only):
+                    wrong.append(say(path, found, "only inside a function, or for types"))
     assert not wrong, "\n".join(wrong)
+
+
+def test_no_command_loads_a_user_of_greybox_before_it_is_run():
+    commands = [
+        ".".join(p.relative_to(ROOT).with_suffix("").parts) for p in files("greybox/commands")
+    ]
+    program = f"""
+import importlib, sys
+for name in {["greybox.cli", *commands]}:
+    importlib.import_module(name)
+print(*(m for m in sys.modules if m.startswith("mpc_export")))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert not done.stdout.strip()
 
 
 def test_what_is_installed_never_imports_scenarios():

@@ -21,7 +21,8 @@ from specimen import (
 )
 
 from greybox.estimation.build import compiler
-from greybox.estimation.engine import Engine, GainTable
+from greybox.estimation.engine import Engine
+from greybox.estimation.recursion import GainTable
 from greybox.model.sensors import SENSORS
 
 every_effect = pytest.mark.parametrize("effect", effects_under_test())

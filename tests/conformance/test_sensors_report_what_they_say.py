@@ -110,6 +110,26 @@ def test_innovation_is_the_measured_value_minus_the_prediction(sensor):
     )
 
 
+@every_sensor
+def test_noise_of_columns_and_of_the_innovation_are_the_same_noise(sensor):
+    components = len(sensor.innovation_signals(crooked()))
+    level = np.full(components, sensor.typical_noise(crooked()))
+    columns = sensor.noise_of_columns(level)
+    assert columns.shape == (len(sensor.signals(crooked())),)
+    np.testing.assert_allclose(sensor.noise_of_innovation(columns), level, rtol=1e-12)
+
+
+def test_noise_on_a_quaternion_is_that_of_the_attitude_innovation():
+    rng = np.random.default_rng(5)
+    attitude = next(s for s in SENSORS if s.name == "attitude")
+    e, q = ca.SX.sym("e", 4), ca.SX.sym("q", 4)
+    innovation = ca.Function("e", [q, e], [attitude.innovation(q + e, q, ca.SX.eye(3))])
+    columns = attitude.noise_of_columns(np.full(3, 1e-3))
+    rows = [random_quaternion(rng) for _ in range(4000)]
+    seen = np.array([number(innovation(r, columns * rng.normal(size=4))) for r in rows])
+    np.testing.assert_allclose(seen.std(axis=0), 1e-3, rtol=0.05)
+
+
 def test_the_attitude_innovation_is_the_rotation_vector_to_third_order():
     rng = np.random.default_rng(3)
     attitude = next(s for s in SENSORS if s.name == "attitude")

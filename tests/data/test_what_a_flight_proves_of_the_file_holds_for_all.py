@@ -10,7 +10,7 @@ import pytest
 
 import greybox as gb
 from greybox.cli import main
-from greybox.data.checks import check, check_beside
+from greybox.data.checks import Checked, check
 from greybox.data.checks.craft import of_the_craft
 from greybox.data.checks.finding import Finding, Severity, Unjudged
 from greybox.examples import flight_path, vehicle_path
@@ -40,7 +40,8 @@ def test_a_flight_that_shows_the_spins_poorly_is_told_what_another_proves() -> N
 
 def test_a_test_flight_proves_it_for_the_training_flight() -> None:
     log = replace(real(SET, CLEAR), flight=VAGUE)  # as files of one name in two folders are
-    report = check_beside([real(SET, VAGUE)], [log], reversed_spins())
+    own, beside = (Checked.of([r], reversed_spins()) for r in (real(SET, VAGUE), log))
+    report = own.report(beside=beside)
     assert [(f.flight, f.check) for f in report.blocking] == [(VAGUE, "motors")]
     assert {f.name for f in report.flights} == {VAGUE}
 

@@ -79,7 +79,7 @@ def test_tasks_survive_the_wire():
     there = solved(
         *pickle.loads(pickle.dumps((flights.causes, flights.data, flights.options, task)))
     )
-    assert here[1].tolist() == there[1].tolist()
+    assert here.theta.tolist() == there.theta.tolist()
 
 
 def test_nothing_is_fitted_twice():

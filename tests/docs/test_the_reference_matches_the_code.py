@@ -13,7 +13,7 @@ import pytest
 
 import greybox
 import mpc_export
-from docs.tools.reference import commands, members, pages
+from docs.tools.reference import JOBS, commands, members, pages
 from greybox.cli import COMMANDS, build_parser
 from tests.docs.pages import PAGES, ROOT, blocks
 
@@ -21,6 +21,12 @@ from tests.docs.pages import PAGES, ROOT, blocks
 def test_the_pages_are_up_to_date() -> None:
     for file, text in pages().items():
         assert (ROOT / "docs" / file).read_text() == text, f"{file}: run make docs"
+
+
+def test_every_public_function_is_described_once_by_what_it_is_for() -> None:
+    named = [name for names in JOBS.values() for name in names]
+    public = [n for n in greybox.__all__ if not inspect.isclass(getattr(greybox, n))]
+    assert sorted(named) == sorted(public)
 
 
 def test_every_command_and_option_is_described() -> None:

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from greybox.estimation.build import compiler
-from greybox.estimation.engine import Engine, GainTable, engine_for
+from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.recursion import GainTable
 from greybox.model.dynamics import Dynamics
 from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from greybox.data import Dataset, dataset_from_arrays
+from greybox.errors import FitError
 from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.engine import Windows
 from greybox.estimation.initialisation import equation_error
 from greybox.estimation.predictors import PREDICTORS
 from greybox.estimation.predictors.innovation import Innovation
@@ -267,3 +269,12 @@ def test_shooting_alone_ends_close_to_the_optimum() -> None:
     best, status = LevenbergMarquardt(tolerance=1e-9).solve(problem, start)
     assert status.converged
     assert problem.evaluate(start).cost - problem.evaluate(best).cost < 1e-2
+
+
+def test_a_window_that_is_not_finite_is_named_by_its_sample() -> None:
+    none = np.zeros((0, 1))
+    lost = Windows(innovations=none, sensitivity=None, ends=none, end_sensitivity=None, failed_in=2)
+    with pytest.raises(FitError, match="flight a is not finite from sample 30"):
+        lost.demand_finite("flight a", np.array([0, 15, 30]))
+    with pytest.raises(FitError, match="flight a is not finite from sample 2"):
+        lost.demand_finite("flight a")

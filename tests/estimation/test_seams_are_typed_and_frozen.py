@@ -12,7 +12,6 @@ import pytest
 
 from greybox.errors import ModelError
 from greybox.estimation.criteria import CRITERIA
-from greybox.estimation.engine import GainTable
 from greybox.estimation.fit import fit
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.predictors import PREDICTORS
@@ -20,6 +19,7 @@ from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.k_step import KStep
 from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.problem import Problem, make_problem
+from greybox.estimation.recursion import GainTable
 from greybox.estimation.solvers import SOLVERS
 from greybox.symbolic import FloatArray
 from tests import motor

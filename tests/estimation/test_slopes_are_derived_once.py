@@ -11,6 +11,7 @@ import pytest
 from greybox.estimation import cache
 from greybox.estimation.build import compiler
 from greybox.estimation.engine import Engine
+from greybox.estimation.recursion import Compiled
 from tests.motor import model
 
 EVERY = tuple(p.name for p in model().parameters)
@@ -34,7 +35,8 @@ def derived(engine: Engine) -> bool:
 
 
 def tape(engine: Engine) -> dict[str, np.ndarray]:
-    return engine._slope.arrays()
+    assert isinstance(engine._recursion, Compiled)
+    return engine._recursion.slope.arrays()
 
 
 def test_a_known_structure_is_not_derived_again(folder):

@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,12 +55,12 @@ __all__ = [
     "CHECKS",
     "Check",
     "CheckReport",
+    "Checked",
     "Finding",
     "FlightSummary",
     "Severity",
     "Unjudged",
     "check",
-    "check_beside",
     "check_logs",
 ]
 
@@ -142,18 +142,57 @@ def check(
     so. Raises `DataError` where two logs have the same name or one is none (no rows, no channels,
     stamps that are no numbers), and `UnknownNameError` for a check that there is not.
     """
-    accepted = tuple(dict.fromkeys(accept))
-    for name in accepted:
-        if name not in NAMES:
-            raise UnknownNameError("check", name, NAMES)
-    if isinstance(data, Dataset | Flight):
-        data = [_as_raw(f) for f in Dataset.of(data)]
-    logs = list(data)
-    demand_names_once([log.flight for log in logs])
+    return Checked.of(data, vehicle).report(accept)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Checked:
+    """Flights of one craft under check, which are reported alone and beside others: what a flight
+    shows by itself is found once where it is `asked_again`."""
+
+    vehicle: Airframe
+    views: tuple[View, ...]
+
+    @classmethod
+    def of(
+        cls,
+        data: Dataset | Flight | Sequence[RawLog],
+        vehicle: Airframe,
+        *,
+        asked_again: bool = False,
+    ) -> Checked:
+        """Raises `DataError` where two logs have the same name or one is none."""
+        given = Dataset.of(data) if isinstance(data, Flight) else data
+        logs = [_as_raw(f) if isinstance(f, Flight) else f for f in given]
+        demand_names_once([log.flight for log in logs])
+        raws = [measurable(log) for log in logs]
+        views = tuple(View(raw=r, vehicle=vehicle, asked_again=asked_again) for r in raws)
+        return cls(vehicle=vehicle, views=views)
+
+    def report(self, accept: Iterable[str] = (), *, beside: Checked | None = None) -> CheckReport:
+        """What is found of these flights where those `beside` them, of the same craft, are looked
+        at with them: what they prove of the vehicle file holds for these. Names may be in both.
+        `accept` as of `check`. Raises `UnknownNameError`."""
+        accepted = tuple(dict.fromkeys(accept))
+        for name in accepted:
+            if name not in NAMES:
+                raise UnknownNameError("check", name, NAMES)
+        names = {v.name for v in self.views}
+        others = () if beside is None else tuple(_renamed(v, names) for v in beside.views)
+        findings, unjudged = _outcomes((*self.views, *others))
+        return CheckReport(
+            vehicle=self.vehicle.name,
+            flights=tuple(_summary(v) for v in self.views),
+            findings=tuple(f for f in findings if f.flight in names),
+            not_judged=tuple(u for u in unjudged if u.flight in names),
+            accepted=accepted,
+        )
+
+
+def _outcomes(views: Sequence[View]) -> tuple[list[Finding], list[Unjudged]]:
+    """All findings, the most severe first, and what could not be judged."""
     findings: list[Finding] = []
     unjudged: list[Unjudged] = []
-    flights: list[FlightSummary] = []
-    views = [View(raw=measurable(log), vehicle=vehicle) for log in logs]
     # What overflows in a check is a value that `ranges` names.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for one in CHECKS:
@@ -168,53 +207,28 @@ def check(
             unjudged += [o for o in outcomes if isinstance(o, Unjudged)]
             told = [o for o in outcomes if isinstance(o, Finding)]
             findings += of_the_craft(told, unjudged, [v.name for v in asked])
-    for log, view in zip(logs, views, strict=True):
-        flights.append(
-            FlightSummary(
-                name=log.flight,
-                source=log.source,
-                sha256=log.sha256,
-                rows=log.n,
-                duration=float(np.max(log.t) - np.min(log.t)),
-                rate=view.rate,
-            )
-        )
     findings.sort(key=lambda f: SEVERITIES.index(f.severity))
-    return CheckReport(
-        vehicle=vehicle.name,
-        flights=tuple(flights),
-        findings=tuple(findings),
-        not_judged=tuple(unjudged),
-        accepted=accepted,
+    return findings, unjudged
+
+
+def _summary(view: View) -> FlightSummary:
+    log = view.raw
+    return FlightSummary(
+        name=log.flight,
+        source=log.source,
+        sha256=log.sha256,
+        rows=log.n,
+        duration=float(np.max(log.t) - np.min(log.t)),
+        rate=view.rate,
     )
 
 
-def check_beside(
-    data: Dataset | Sequence[RawLog],
-    others: Dataset | Sequence[RawLog],
-    vehicle: Airframe,
-    *,
-    accept: Iterable[str] = (),
-) -> CheckReport:
-    """What `check` says of `data` where flights of the same craft are looked at with it: what they
-    prove of the vehicle file holds for these. Names may be in both. Raises what `check` raises."""
-    own, beside = ([_as_raw(f) if isinstance(f, Flight) else f for f in d] for d in (data, others))
-    names = {log.flight for log in own}
-    demand_names_once([log.flight for log in beside])
-    beside = [replace(b, flight=_another(b.flight, names)) for b in beside]
-    found = check([*own, *beside], vehicle, accept=accept)
-    return replace(
-        found,
-        flights=tuple(f for f in found.flights if f.name in names),
-        findings=tuple(f for f in found.findings if f.flight in names),
-        not_judged=tuple(u for u in found.not_judged if u.flight in names),
-    )
-
-
-def _another(name: str, taken: Collection[str]) -> str:
+def _renamed(view: View, taken: Collection[str]) -> View:
+    """The flight under a name that is not taken."""
+    name = view.name
     while name in taken:
         name += "'"
-    return name
+    return view if name == view.name else replace(view, raw=replace(view.raw, flight=name))
 
 
 def check_logs(

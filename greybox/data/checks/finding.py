@@ -74,7 +74,10 @@ def per_flight(
 
     def every(views: Sequence[View]) -> Iterable[Outcome]:
         for view in views:
-            yield from run(view)
+            found = view.found.get(run)
+            outcomes = found if isinstance(found, tuple) else tuple(run(view))
+            view.keep(run, outcomes)
+            yield from outcomes
 
     return every
 

@@ -114,10 +114,15 @@ class Related:
 
 def related(relation: Relation, view: View) -> Related | str:
     """The relation in one flight, or why it cannot be judged there."""
+    found = view.found.get(relation)
+    if isinstance(found, Related | str):
+        return found
     if view.flight is None:
         return "no airborne stretch"
     streams = relation.streams_of(view)
-    return streams if isinstance(streams, str) else _of_streams(relation, view, streams)
+    found = streams if isinstance(streams, str) else _of_streams(relation, view, streams)
+    view.keep(relation, found)
+    return found
 
 
 def _of_streams(relation: Relation, view: View, streams: Streams) -> Related | str:

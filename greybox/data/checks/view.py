@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -33,15 +33,26 @@ PAD = 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """One flight under check. Rows with a bad time are left out of everything but `raw`."""
+    """One flight under check. Rows with a bad time are left out of everything but `raw`.
+
+    `asked_again`: it will be judged beside other flights, too, and `found` keeps what it shows by
+    itself; else it is forgotten with the question.
+    """
 
     raw: RawLog
     vehicle: Airframe
+    asked_again: bool = False
+    found: dict[object, object] = field(init=False, default_factory=dict)
 
     @property
     def name(self) -> str:
         """Name of the flight."""
         return self.raw.flight
+
+    def keep(self, question: object, answer: object) -> None:
+        """What it shows by itself, for `found`."""
+        if self.asked_again:
+            self.found[question] = answer
 
     @functools.cached_property
     def possible(self) -> RawLog:

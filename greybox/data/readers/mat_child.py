@@ -16,6 +16,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
+from scipy.io import loadmat
+from scipy.io.matlab import mat_struct
 
 WIDEST = 32
 """A matrix with more columns than this is no set of channels."""
@@ -30,7 +32,7 @@ def vectors(
     """Name and numbers of every vector and matrix, those inside structs under dotted names."""
     for name, value in values.items():
         full = prefix + name
-        if hasattr(value, "_fieldnames"):
+        if isinstance(value, mat_struct):
             if depth < DEEPEST:
                 yield from vectors(
                     {f: getattr(value, f) for f in value._fieldnames}, full + ".", depth + 1
@@ -64,8 +66,6 @@ def main(source: str, target: str, most: int) -> int:
     """Read `source`, write `target`, take at most `most` bytes. Returns the exit code."""
     warnings.simplefilter("ignore")
     try:
-        from scipy.io import loadmat
-
         bound(most)
         content = loadmat(source, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
         content = {k: v for k, v in content.items() if not k.startswith("__")}

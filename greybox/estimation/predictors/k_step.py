@@ -13,19 +13,16 @@ correlated up to lag k - 1: standard errors want the sandwich form.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from greybox.errors import FitError, ModelError
-from greybox.estimation.predictor import Block, Predictor
-from greybox.estimation.predictors.innovation import (
-    Innovation,
-    InnovationPrepared,
-    filtered_states,
-)
-from greybox.symbolic import BoolArray, FloatArray
+from greybox.errors import ModelError
+from greybox.estimation.predictor import Block
+from greybox.estimation.predictors.from_filter import FromFilter
+from greybox.estimation.predictors.innovation import filtered_states
+from greybox.symbolic import FloatArray
 
 if TYPE_CHECKING:
     from greybox.estimation.problem import Problem
@@ -33,12 +30,11 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class KStep(Predictor[InnovationPrepared]):
+class KStep(FromFilter):
     """k-step-ahead prediction errors; k in samples."""
 
     k: int = 10
     name: str = "k-step"
-    filter: Innovation = field(default_factory=Innovation)
 
     def __post_init__(self) -> None:
         if self.k < 1:
@@ -48,24 +44,6 @@ class KStep(Predictor[InnovationPrepared]):
     def horizons(self) -> tuple[int, ...]:
         """k alone."""
         return (self.k,)
-
-    @property
-    def one_step(self) -> Innovation:
-        """The filter that the predictions start from."""
-        return self.filter
-
-    def prepare(self, problem: Problem) -> InnovationPrepared:
-        """As the innovation form."""
-        return problem.prepared(self.filter)
-
-    @property
-    def carries_starts(self) -> bool:
-        """As the innovation form."""
-        return True
-
-    def told(self, problem: Problem) -> list[BoolArray]:
-        """As the innovation form."""
-        return self.filter.told(problem)
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Errors of every record, one row per sample; the criterion weighs them."""
@@ -88,11 +66,7 @@ class KStep(Predictor[InnovationPrepared]):
                 s0=None if slopes is None else slopes[rows],
                 **record.samples,
             )
-            if ahead.failed_in is not None:
-                raise FitError(
-                    f"the prediction of flight {record.flight} is not finite from sample "
-                    f"{ahead.failed_in}"
-                )
+            ahead.demand_finite(f"the prediction of flight {record.flight}")
             return Block(
                 record=record,
                 e=ahead.innovations,

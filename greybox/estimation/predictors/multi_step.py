@@ -16,20 +16,17 @@ Simulation error minimization, Int. J. Control 84(2).)
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from greybox.errors import FitError, ModelError
-from greybox.estimation.predictor import Block, Predictor
-from greybox.estimation.predictors.innovation import (
-    Innovation,
-    InnovationPrepared,
-    filtered_states,
-)
+from greybox.errors import ModelError
+from greybox.estimation.predictor import Block
+from greybox.estimation.predictors.from_filter import FromFilter
+from greybox.estimation.predictors.innovation import filtered_states
 from greybox.estimation.settling import RecordGains
-from greybox.symbolic import BoolArray, FloatArray
+from greybox.symbolic import FloatArray
 
 if TYPE_CHECKING:
     from greybox.estimation.problem import Problem
@@ -37,14 +34,13 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class MultiStep(Predictor[InnovationPrepared]):
+class MultiStep(FromFilter):
     """Errors at `horizons` (samples, 1 = one step) from every `stride`-th sample. Errors overlap:
     use sandwich errors."""
 
     horizons: tuple[int, ...] = (1, 2, 5, 10, 20, 30, 50)
     stride: int = 15
     name: str = "multi-step"
-    filter: Innovation = field(default_factory=Innovation)
 
     def __post_init__(self) -> None:
         if not self.horizons or min(self.horizons) < 1 or self.stride < 1:
@@ -52,24 +48,6 @@ class MultiStep(Predictor[InnovationPrepared]):
                 "horizons and stride must be one sample or more",
                 got=f"{self.horizons}, {self.stride}",
             )
-
-    @property
-    def one_step(self) -> Innovation:
-        """The filter that the predictions start from."""
-        return self.filter
-
-    def prepare(self, problem: Problem) -> InnovationPrepared:
-        """As the innovation form."""
-        return problem.prepared(self.filter)
-
-    @property
-    def carries_starts(self) -> bool:
-        """As the innovation form."""
-        return True
-
-    def told(self, problem: Problem) -> list[BoolArray]:
-        """As the innovation form."""
-        return self.filter.told(problem)
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Errors of every record, windows in order of time and horizons inside each window."""
@@ -98,11 +76,7 @@ class MultiStep(Predictor[InnovationPrepared]):
             steps=at,
             **record.samples,
         )
-        if ahead.failed_in is not None:
-            raise FitError(
-                f"the prediction of flight {record.flight} is not finite from sample "
-                f"{ahead.failed_in}"
-            )
+        ahead.demand_finite(f"the prediction of flight {record.flight}", rows)
         return Block(
             record=record,
             e=ahead.innovations,

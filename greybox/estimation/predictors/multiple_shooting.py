@@ -29,12 +29,12 @@ import numpy as np
 
 from greybox.errors import FitError, ModelError
 from greybox.estimation.criteria.gaussian import Gaussian
-from greybox.estimation.engine import GainTable
 from greybox.estimation.gain import stationary
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import Simulation, start_of
 from greybox.estimation.prior import prior_terms
+from greybox.estimation.recursion import GainTable
 from greybox.estimation.solver import IndexArray, Progress
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
 from greybox.symbolic import CASADI, FloatArray

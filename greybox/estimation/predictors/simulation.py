@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from greybox.estimation.engine import GainTable
 from greybox.estimation.predictor import Block, Predictor
+from greybox.estimation.recursion import GainTable
 from greybox.symbolic import FloatArray
 
 if TYPE_CHECKING:

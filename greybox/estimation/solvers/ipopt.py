@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -52,7 +52,8 @@ class Ipopt:
             "grad_f": _Gradient(memory),
             "hess_lag": _Hessian(memory, self.hessian == "exact"),
         }
-        solver = ca.nlpsol("solver", "ipopt", {"x": z, "f": cost(z)}, slopes | self._options())
+        settings = {**self._options(), **slopes}
+        solver = ca.nlpsol("solver", "ipopt", {"x": z, "f": cost(z)}, settings)
         out = solver(x0=x / scale, lbx=lower / scale, ubx=upper / scale)
         stats = solver.stats()
         x = np.clip(np.asarray(out["x"].full()).ravel() * scale, lower, upper)
@@ -75,7 +76,7 @@ class Ipopt:
             raise Interrupted((x, status))
         return x, status
 
-    def _options(self) -> dict[str, Any]:
+    def _options(self) -> dict[str, bool | int | float | str]:
         return {
             "no_nlp_grad": True,
             "print_time": False,

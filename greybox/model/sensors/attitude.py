@@ -11,6 +11,9 @@ from greybox.model.sensor import Sensor, Start, axes, first_complete
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Signal
 
+TURNS = 2.0
+"""A small rotation vector [rad] over the vector part of its quaternion."""
+
 
 class Attitude(Sensor):
     """qw, qx, qy, qz [-]. The innovation is delta_theta [rad] in body axes, q = q_hat *
@@ -38,6 +41,14 @@ class Attitude(Sensor):
         """[rad]."""
         return 0.003
 
+    def noise_of_columns(self, innovation: FloatArray) -> FloatArray:
+        """The same in all four, as any of them may be the one that hardly changes."""
+        return np.full(4, float(innovation.mean()) / TURNS)
+
+    def noise_of_innovation(self, columns: FloatArray) -> FloatArray:
+        """That of the vector part."""
+        return TURNS * columns[1:]
+
     def starts(self, readings: FloatArray, t: FloatArray) -> tuple[Start, ...]:
         """The first attitude."""
         row = first_complete(readings)
@@ -55,4 +66,4 @@ class Attitude(Sensor):
         """Rotation vector by the vector part, 2 sign(w) v: exact to third order and without a
         singularity at pi."""
         d = quat_multiply(quat_conjugate(y_hat), y)
-        return ca.if_else(d[0] < 0, -2.0, 2.0) * d[1:4]
+        return ca.if_else(d[0] < 0, -TURNS, TURNS) * d[1:4]

@@ -48,11 +48,29 @@ class LooksBack(Learner, Protocol):
         """The same for inputs of these names (n_in); u1[t-3] is that of three samples ago."""
 
 
+@runtime_checkable
+class SaysCentred(Protocol):
+    """A learner that says whether its inputs are moved to zero mean."""
+
+    @property
+    def centred(self) -> bool:
+        """Whether they are."""
+
+
+@runtime_checkable
+class SaysEnsemble(Protocol):
+    """A learner that says whether its candidates are members of one ensemble."""
+
+    @property
+    def ensemble(self) -> bool:
+        """Whether they are."""
+
+
 def is_centred(learner: Learner) -> bool:
     """Whether its inputs are moved to zero mean: yes, unless it says `centred = False`."""
-    return bool(getattr(learner, "centred", True))
+    return not isinstance(learner, SaysCentred) or bool(learner.centred)
 
 
 def is_ensemble(learner: Learner) -> bool:
     """Whether its candidates are members of one ensemble: no, unless it says `ensemble = True`."""
-    return bool(getattr(learner, "ensemble", False))
+    return isinstance(learner, SaysEnsemble) and bool(learner.ensemble)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import operator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -74,7 +73,7 @@ def _parameters(path: Path) -> Parsed:
         tree = ast.parse(read_limited(path, LARGEST).decode("utf-8"))
     except (SyntaxError, ValueError) as error:
         raise VehicleError(f"not Python: {error}", where=where) from None
-    known: dict[str, Any] = {}
+    known: dict[str, object] = {}
     for node in tree.body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             name = node.targets[0].id
@@ -97,7 +96,7 @@ class _Computed(Exception):
     """An expression that is more than numbers."""
 
 
-def _value(node: ast.expr, known: dict[str, Any]) -> Any:
+def _value(node: ast.expr, known: dict[str, object]) -> object:
     if isinstance(node, ast.Constant):
         return node.value
     if isinstance(node, ast.Name) and node.id in known:
