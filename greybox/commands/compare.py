@@ -14,10 +14,12 @@ from greybox.commands.judgement import (
     accept_option,
     accepted,
     adapt_option,
+    admitted,
     demand_adapt,
     horizon_options,
     log_faults,
     refuse_faults,
+    source_option,
 )
 from greybox.commands.model_options import is_given, model_options, names
 
@@ -70,6 +72,7 @@ def add(subparsers: Subcommands) -> None:
         "other option of this group counts then",
     )
     model_options(nonlinear)
+    source_option(nonlinear)
     p.set_defaults(run=run)
 
 
@@ -115,6 +118,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = Console.of(arguments)
     learners = _checked(arguments)  # what is wrong is said before logs are read
+    if not admitted(arguments, arguments.fitted):
+        return 1
     vehicle = read_vehicle(arguments.vehicle)
     faults = log_faults(arguments, vehicle)
     if not faults.ok:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands
 from greybox.commands.console import Console, json_option
+from greybox.commands.judgement import even_so_option
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
@@ -75,9 +76,7 @@ def add(commands: Subcommands) -> None:
         metavar="E.py",
         help="effects of your own in the model",
     )
-    p.add_argument(
-        "--even-so", action="store_true", help="go on although the model was judged not usable"
-    )
+    even_so_option(p)
     json_option(p, "the statement")
     p.set_defaults(run=run)
 
