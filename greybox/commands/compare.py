@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
+from greybox.commands.going_on import going_on
 from greybox.commands.judgement import (
     accept_option,
     accepted,
@@ -42,7 +43,8 @@ def add(subparsers: Subcommands) -> None:
         "physics. The nonlinear model is that of plain `greybox fit`; options of it make it that of "
         "`greybox fit --manual` with these. Writes compare.json after every method, and "
         "report.html. Exit code 0: "
-        "done, 1: a method failed (its row says why) or a fault of the data blocks, 2: bad input.",
+        "done, 1: a method failed (its row says why), a fault of the data blocks, or the model of "
+        "--fitted is not finished, 2: bad input, 130: interrupted (the same command goes on).",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
@@ -135,18 +137,15 @@ def run(arguments: argparse.Namespace) -> int:
     bench = _bench(arguments, vehicle, train, test, fitted, console)
     out = Path(arguments.out)
     command = typed("compare")
-    for partial in compare(bench, arguments.methods, learners=learners):
-        # What is done stays done, whatever happens to the next method.
-        content: CompareDocument = {**partial, "command": command}
-        write_json(out / "compare.json", content)
-        write_atomic(out / "report.html", compare_report(content))
-        done = len(content["methods"])
-        others = content["not_run"]
-        arguments.kept = (
-            f"what is done is in {out / 'compare.json'}; for the rest: --methods "
-            f"{','.join(others)} --out OTHER"
-        )
-        console.share(f"{done} of {done + len(others)} done", done / (done + len(others)))
+    with going_on(arguments, console):
+        for partial in compare(bench, arguments.methods, learners=learners):
+            # What is done stays done, whatever happens to the next method.
+            content: CompareDocument = {**partial, "command": command}
+            write_json(out / "compare.json", content)
+            write_atomic(out / "report.html", compare_report(content))
+            done, left = len(content["methods"]), len(content["not_run"])
+            arguments.kept = f"{done} of {done + left} methods are in {out / 'compare.json'}"
+            console.share(f"{done} of {done + left} done", done / (done + left))
     console.result(content, format_table(content), f"wrote compare.json and report.html in {out}")
     for m in content["methods"]:
         if m["status"] != "done":
