@@ -489,6 +489,8 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
         shown = told.replace("\n", "\n    ")
         say(f"  {what}: {'passed' if passed else 'FAILED'}: {shown}")
     summary(folder, manifest, parts, with_c=with_c)
+    if changed or unknown:
+        say("  FAILED: files were changed or added since the export")
     return not changed and not unknown and bool(parts) and all(parts.values())
 
 
