@@ -195,7 +195,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise
     content = _report(arguments, flown, watched, command, [])
     written = f"wrote flights.jsonl, mpc.json and report.html in {out} ({console.seconds:.0f} s)"
-    console.result(content, format_table(content), content["verdict"], written)
+    warnings = (f"warning: {w}" for w in content["warnings"])
+    console.result(content, format_table(content), content["verdict"], *warnings, written)
     return 0
 
 
