@@ -108,7 +108,8 @@ class Journal:
     ) -> list[T]:
         """As the function of this name."""
         kinds = {k.__name__: k for k in parts}
-        keys = [_sha([self._state, k, plain(q)]) for k, q in enumerate(questions)]
+        state = self._state  # what `work` asks in its turn comes and goes with its answers
+        keys = [_sha([state, k, plain(q)]) for k, q in enumerate(questions)]
         found, sums = dict[int, T](), dict[int, str]()
         for place, key in enumerate(keys):
             with contextlib.suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
@@ -119,8 +120,17 @@ class Journal:
             now = time.perf_counter()
             found[place], sums[place] = answer, self._noted(keys[place], answer, now - then)
             then = now
-        self._state = _sha([self._state, [sums[k] for k in range(len(keys))]])
+        self._state = _sha([state, [sums[k] for k in range(len(keys))]])
         return [found[k] for k in range(len(keys))]
+
+    @contextlib.contextmanager
+    def apart(self, name: str) -> Iterator[None]:
+        """As the function of this name."""
+        before, self._state = self._state, _sha([self._given, name])
+        try:
+            yield
+        finally:
+            self._state = before
 
     def _recalled(self, key: str, whole: type[T], kinds: Mapping[str, Kind]) -> tuple[T, str]:
         """The answer under a key, and its checksum. Raises `KeyError`, `ValueError`, ... where
@@ -192,6 +202,15 @@ def answers(
         return journal.answers(questions, work, whole, parts)
     found = dict(work(range(len(questions))))
     return [found[k] for k in range(len(questions))]
+
+
+@contextlib.contextmanager
+def apart(name: str) -> Iterator[None]:
+    """Answers within are those of this name, whatever was asked before: work that is done once, for
+    whoever needs it first."""
+    journal = _CURRENT.get()
+    with contextlib.nullcontext() if journal is None else journal.apart(name):
+        yield
 
 
 def spared() -> float:

@@ -194,7 +194,7 @@ def _adapt(setting: Setting, note: Note, recipe: Recipe) -> float | None:
     note(
         "a new flight",
         f"adapts on its first {ADAPT:g} s",
-        f"{len(own)} parameters have one value per flight",
+        f"{len(own)} parameters have one value per flight; of a test flight at most a third",
         "--adapt",
     )
     return ADAPT

@@ -8,6 +8,7 @@ fails falls back to less, and says so.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -45,17 +46,22 @@ from greybox.validation.calibration import calibrated
 from greybox.validation.sanity import sanity_of
 
 LEFT_TO_JUDGE = 3.0
-"""Times the seconds of adaptation that a test flight must last: two thirds of it judge."""
+"""Times the seconds of adaptation that a test flight lasts at least: two thirds of it judge."""
 
 
 def adaptation(recipe: Recipe, test: Dataset, asked: float | None = None) -> float | None:
     """Seconds at the start of `test` flights to adapt on: what was `asked`, else the recipe's own
-    time; None where a flight is too short for that, or nothing is to be adapted."""
+    time, of a shorter flight a third; None where nothing is to be adapted.
+
+    Of a short flight the beginning is worth as much as of a long one: judged without it, a flight
+    whose gyro has another offset than those that were fitted looks like wrong torques.
+    """
     if asked is not None:
         return float(asked)
     if recipe.adapt is None or not test.flights:
         return None
-    return recipe.adapt if min(f.duration for f in test) >= LEFT_TO_JUDGE * recipe.adapt else None
+    shortest = math.floor(10.0 * min(f.duration for f in test) / LEFT_TO_JUDGE) / 10.0
+    return min(recipe.adapt, shortest) or None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -28,8 +28,9 @@ training flights, where those of the other methods come from too.
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -41,6 +42,8 @@ from greybox.baselines.document import CompareDocument, MethodRow, SeriesRow
 from greybox.baselines.regressors import NotMeasured
 from greybox.data.channel import channel
 from greybox.errors import GreyboxError, UnknownNameError
+from greybox.files import to_plain
+from greybox.journal import answers, apart
 from greybox.model.identified import library_versions
 from greybox.residual.learners import GP, LEARNERS
 
@@ -84,7 +87,7 @@ def compare(
         bench.say(f"{name} ...")
         began = time.perf_counter()
         try:
-            rows.append(_row(bench, name, there[name](bench)))
+            rows.append(_kept(bench, name, there[name]))
         except NotMeasured as error:
             needs = f"needs {', '.join(error.needs)}"
             rows.append({"method": name, "status": "cannot", "error": needs})
@@ -94,6 +97,18 @@ def compare(
             )
         bench.say(f"{name}: {rows[-1]['status']} after {time.perf_counter() - began:.0f} s")
         yield _content(bench, rows, [n for n in chosen if n not in {r["method"] for r in rows}])
+
+
+def _kept(bench: Bench, name: str, method: Callable[[Bench], Outcome]) -> MethodRow:
+    """The row of a method, from the journal of the command where it has ended before."""
+
+    def work(_: Sequence[int]) -> Iterator[tuple[int, str]]:
+        yield 0, json.dumps(_row(bench, name, method(bench)), default=to_plain)
+
+    with apart(f"method {name}"):
+        (told,) = answers([name], work, str)
+    row: MethodRow = json.loads(told)
+    return row
 
 
 def _row(bench: Bench, name: str, found: Outcome) -> MethodRow:

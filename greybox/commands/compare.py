@@ -10,14 +10,17 @@ from typing import TYPE_CHECKING, Literal
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
+from greybox.commands.going_on import going_on
 from greybox.commands.judgement import (
     accept_option,
     accepted,
     adapt_option,
+    admitted,
     demand_adapt,
     horizon_options,
     log_faults,
     refuse_faults,
+    source_option,
 )
 from greybox.commands.model_options import is_given, model_options, names
 
@@ -40,7 +43,8 @@ def add(subparsers: Subcommands) -> None:
         "physics. The nonlinear model is that of plain `greybox fit`; options of it make it that of "
         "`greybox fit --manual` with these. Writes compare.json after every method, and "
         "report.html. Exit code 0: "
-        "done, 1: a method failed (its row says why) or a fault of the data blocks, 2: bad input.",
+        "done, 1: a method failed (its row says why), a fault of the data blocks, or the model of "
+        "--fitted is not finished, 2: bad input, 130: interrupted (the same command goes on).",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
@@ -70,6 +74,7 @@ def add(subparsers: Subcommands) -> None:
         "other option of this group counts then",
     )
     model_options(nonlinear)
+    source_option(nonlinear)
     p.set_defaults(run=run)
 
 
@@ -115,6 +120,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = Console.of(arguments)
     learners = _checked(arguments)  # what is wrong is said before logs are read
+    if not admitted(arguments, arguments.fitted):
+        return 1
     vehicle = read_vehicle(arguments.vehicle)
     faults = log_faults(arguments, vehicle)
     if not faults.ok:
@@ -130,18 +137,15 @@ def run(arguments: argparse.Namespace) -> int:
     bench = _bench(arguments, vehicle, train, test, fitted, console)
     out = Path(arguments.out)
     command = typed("compare")
-    for partial in compare(bench, arguments.methods, learners=learners):
-        # What is done stays done, whatever happens to the next method.
-        content: CompareDocument = {**partial, "command": command}
-        write_json(out / "compare.json", content)
-        write_atomic(out / "report.html", compare_report(content))
-        done = len(content["methods"])
-        others = content["not_run"]
-        arguments.kept = (
-            f"what is done is in {out / 'compare.json'}; for the rest: --methods "
-            f"{','.join(others)} --out OTHER"
-        )
-        console.share(f"{done} of {done + len(others)} done", done / (done + len(others)))
+    with going_on(arguments, console):
+        for partial in compare(bench, arguments.methods, learners=learners):
+            # What is done stays done, whatever happens to the next method.
+            content: CompareDocument = {**partial, "command": command}
+            write_json(out / "compare.json", content)
+            write_atomic(out / "report.html", compare_report(content))
+            done, left = len(content["methods"]), len(content["not_run"])
+            arguments.kept = f"{done} of {done + left} methods are in {out / 'compare.json'}"
+            console.share(f"{done} of {done + left} done", done / (done + left))
     console.result(content, format_table(content), f"wrote compare.json and report.html in {out}")
     for m in content["methods"]:
         if m["status"] != "done":

@@ -27,8 +27,10 @@ from greybox.commands.going_on import demand_source_stays, going_on
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
+    admitted,
     demand_adapt,
     log_faults,
+    source_option,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import names
@@ -90,6 +92,7 @@ def _earlier_options(p: argparse.ArgumentParser) -> None:
         metavar="MODEL.json",
         help="what has changed since this model: its numbers and their errors are the prior",
     )
+    source_option(p)
     p.add_argument(
         "--continue",
         dest="folder",
@@ -250,6 +253,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     out, console = Path(arguments.out or "greybox-discover"), Console.of(arguments)
     _check(arguments, out)
+    if not admitted(arguments, arguments.since):
+        return 1
     if arguments.folder is not None:
         return go_on(arguments)
     offered = {path: load_effects(path) for path in arguments.effects_file}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands, effects_file_option
 from greybox.commands.console import Console, json_option
+from greybox.commands.judgement import even_so_option
 from greybox.commands.own_model import model_file_option
 
 if TYPE_CHECKING:
@@ -54,9 +55,7 @@ def add(commands: Subcommands) -> None:
     _bundle_options(p)
     effects_file_option(p)
     model_file_option(p)
-    p.add_argument(
-        "--even-so", action="store_true", help="go on although the model was judged not usable"
-    )
+    even_so_option(p)
     p.add_argument(
         "--no-cache", action="store_true", help="build anew even if the same export is in the cache"
     )

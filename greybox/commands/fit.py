@@ -25,10 +25,12 @@ from greybox.commands.going_on import demand_source_stays, going_on
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
+    admitted,
     demand_adapt,
     exit_code,
     horizon_options,
     refuse_faults,
+    source_option,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap
 from greybox.commands.model_options import (
@@ -62,6 +64,7 @@ def add(subparsers: Subcommands) -> None:
         help="a model of a craft like this one: effects begin where its own are, believed within "
         "half their size, and stay where they foretell these flights better",
     )
+    source_option(p)
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument(
         "--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees"
@@ -114,6 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
     demand_source_stays(arguments.source, Path(arguments.out))
     if arguments.model_file is not None:
         return run_own(arguments)
+    if not admitted(arguments, arguments.source):
+        return 1
     console, vehicle = Console.of(arguments), read_vehicle(arguments.vehicle)
     try:
         job = begun(arguments, vehicle, console)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from greybox.commands.command_line import Subcommands, effects_file_option, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
+from greybox.commands.judgement import admitted, source_option
 from greybox.commands.model_options import names
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ def add(subparsers: Subcommands) -> None:
     flight_log_options(p)
     effects_file_option(p)
     p.add_argument("--out", default="greybox-frf", metavar="DIR", help="folder for the results")
+    source_option(p)
     json_option(p, "frf.json")
     p.set_defaults(run=run)
 
@@ -114,11 +116,14 @@ def _response_options(p: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read, estimate, report. Returns 1 where no response has a frequency that can be used."""
+    """Read, estimate, report. Returns 1 where no response has a frequency that can be used, or the
+    model is not finished."""
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.linear.frf import frf
     from greybox.report.frf_report import frf_report
 
+    if not admitted(arguments, arguments.model):
+        return 1
     model, vehicle = _subject(arguments)
     inputs, outputs = _named(arguments, model, vehicle)
     data, references = _flights(arguments, vehicle, model, inputs, outputs)

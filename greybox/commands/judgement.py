@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import enum
 import math
 import shlex
 import sys
@@ -176,12 +177,45 @@ class Gate:
             print(f"greybox {command}: {self.line}", file=sys.stderr)
 
 
-def gate(content: Parsed, path: str, *, even_so: bool) -> Gate:
-    """Judge a model file (`content`, read from `path`) by the verdict that it carries.
+class Use(enum.Enum):
+    """What a command makes of a model, and what closes it to the model."""
 
-    Closed where it says NOT USABLE and nobody said `even_so`. A file without a verdict (an older
-    one) passes with a warning, and so does a linear model whose fit did not converge. Raises
-    `FileFormatError` for a verdict that is incomplete.
+    FLIES = "it goes on as it is: to a controller or a simulator"
+    """Closed to what is not usable."""
+    BUILDS = "something else begins with it, which is judged in its turn"
+    """Closed to what is not finished; what is not usable is said."""
+
+
+def even_so_option(p: Options, judged: str = "judged not usable") -> None:
+    """Declare --even-so, of a command that refuses a model that was `judged` so."""
+    p.add_argument("--even-so", action="store_true", help=f"go on although the model was {judged}")
+
+
+def source_option(p: Options) -> None:
+    """Declare --even-so, of a command whose result begins with a model: see `admitted`."""
+    even_so_option(p, "not finished")
+
+
+def admitted(arguments: argparse.Namespace, path: str | None) -> bool:
+    """Whether a command may begin with the model file at `path` (None: with none), which is said on
+    standard error where it is not, or where the model is not usable. Raises what `gate` and
+    `read_json` raise."""
+    from greybox.files import read_json
+
+    if path is None:
+        return True
+    found = gate(read_json(path), path, even_so=arguments.even_so, use=Use.BUILDS)
+    found.say(arguments.command)
+    return found.open
+
+
+def gate(content: Parsed, path: str, *, even_so: bool, use: Use = Use.FLIES) -> Gate:
+    """Judge a model file (`content`, read from `path`) by the verdict that it carries, for `use`.
+
+    Closed where that says so and nobody said `even_so`. To fly, a file without a verdict (an older
+    one) passes with a warning; who builds is told of what is wrong alone. A linear model whose fit
+    did not converge passes with a warning. Raises `FileFormatError` for a verdict that is
+    incomplete.
     """
     from greybox.errors import FileFormatError
     from greybox.model.identified import SCHEMA
@@ -192,17 +226,22 @@ def gate(content: Parsed, path: str, *, even_so: bool) -> Gate:
     base = content.get("base")
     data = (base if isinstance(base, dict) else content).get("verdict")
     if data is None:
-        return Gate(open=True, line=f"warning: {path}: {NOT_JUDGED}")
+        missing = f"warning: {path}: {NOT_JUDGED}" if use is Use.FLIES else ""
+        return Gate(open=True, line=missing)
     try:
         verdict = Verdict.from_dict(data)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise FileFormatError(
             "incomplete verdict", where=path, fix="write the file again"
         ) from None
-    if verdict.refused and not even_so:
+    unfinished = verdict.outcome is Outcome.UNFINISHED
+    closed = verdict.refused if use is Use.FLIES else unfinished
+    if closed and not even_so:
         return Gate(
             open=False, line=f"{path}: {verdict.sentence}. To go on all the same: --even-so"
         )
+    if use is Use.BUILDS and not verdict.refused:
+        return Gate(open=True, line="")
     mark = "" if verdict.outcome is Outcome.USABLE else "warning: "
     return Gate(open=True, line=f"{mark}{path}: {verdict.line}")
 

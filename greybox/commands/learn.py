@@ -15,12 +15,14 @@ from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
+    admitted,
     demand_adapt,
     exit_code,
     given_horizons,
     horizon_options,
     log_faults,
     refuse_faults,
+    source_option,
 )
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
@@ -43,7 +45,8 @@ def add(subparsers: Subcommands) -> None:
         "uncertainty. Writes "
         "hybrid.json, learn.json and report.html (where nothing was worth learning, hybrid.json is "
         "the physics with "
-        "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, 2: "
+        "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, or "
+        "refused, as the model is not finished, 2: "
         "bad input.",
     )
     p.add_argument(
@@ -74,6 +77,7 @@ def add(subparsers: Subcommands) -> None:
         help="effects of your own in the model, and the laws of model_with_laws.json",
     )
     model_file_option(p)
+    source_option(p)
     _linear_options(p)
     p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
     p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
@@ -135,7 +139,7 @@ def _linear_options(p: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read, check, learn, validate before and after, report."""
+    """Read, check, learn, validate before and after, report. Returns the exit code."""
     from greybox.commands.learn_output import is_linear, run_output
     from greybox.errors import GreyboxError
     from greybox.model.layer import physics_of
@@ -145,6 +149,8 @@ def run(arguments: argparse.Namespace) -> int:
     need_mcap(arguments.mcap)
     linear = is_linear(arguments.model)
     _demand_options(arguments, linear=linear)
+    if not admitted(arguments, arguments.model):
+        return 1
     if linear:
         return run_output(arguments)
     model, console = loaded(arguments), Console.of(arguments)

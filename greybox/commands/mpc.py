@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
+from greybox.commands.judgement import even_so_option
 from greybox.commands.mpc_own import OWN_ONLY, add_options, is_own, refuse
 from greybox.commands.mpc_own import run as run_own
 from greybox.errors import solvable
@@ -46,9 +47,7 @@ def add(subparsers: Subcommands) -> None:
     )
     _world_options(p)
     _campaign_options(p)
-    p.add_argument(
-        "--even-so", action="store_true", help="go on although the model was judged not usable"
-    )
+    even_so_option(p)
     p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
     p.add_argument(
         "--mcap",
@@ -197,7 +196,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise
     content = _report(arguments, flown, watched, command, [])
     written = f"wrote flights.jsonl, mpc.json and report.html in {out} ({console.seconds:.0f} s)"
-    console.result(content, format_table(content), content["verdict"], written)
+    warnings = (f"warning: {w}" for w in content["warnings"])
+    console.result(content, format_table(content), content["verdict"], *warnings, written)
     return 0
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 from greybox.commands.command_line import Subcommands, effects_file_option, typed
 from greybox.commands.console import Console, json_option
+from greybox.commands.judgement import admitted, source_option
 from greybox.commands.model_options import names, noise_levels, numbers, values
 from greybox.commands.own_model import loaded, model_file_option, range_options
 
@@ -34,7 +35,8 @@ def add(subparsers: Subcommands) -> None:
         "Writes plan.json, setpoints "
         "and expected log per flight (flight_1.csv, expected_1.csv), plan.png and report.html. "
         "Exit code 0: done; 1: done, "
-        "but nothing will be known of some wanted parameter; 2: bad input.",
+        "but nothing will be known of some wanted parameter, or the model is not finished; 2: bad "
+        "input.",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p)
@@ -58,6 +60,7 @@ def add(subparsers: Subcommands) -> None:
     )
     p.add_argument("--seed", type=int, default=0, help="seed of the multi-sines' phases")
     p.add_argument("--out", default="greybox-plan", metavar="DIR", help="folder for the results")
+    source_option(p)
     json_option(p, "plan.json")
     p.set_defaults(run=run)
 
@@ -158,13 +161,16 @@ def _room_options(p: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Plan, write, report. Returns 0, or 1 where nothing will be known of a wanted parameter."""
+    """Plan, write, report. Returns 0, or 1 where nothing will be known of a wanted parameter, or
+    the model is not finished."""
     import numpy as np
 
     from greybox.model.effects_file import load_effects
     from greybox.planning import plan
     from greybox.planning.limits import Limits, command_range
 
+    if not admitted(arguments, arguments.model):
+        return 1
     if (own_model := _own_model(arguments)) is not None:
         return _run_own(arguments, own_model)
     _check(arguments)

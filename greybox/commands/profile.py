@@ -11,6 +11,7 @@ from greybox.commands.command_line import Subcommands, effects_file_option, type
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.going_on import going_on
+from greybox.commands.judgement import admitted, source_option
 from greybox.commands.model_options import names
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
@@ -35,7 +36,8 @@ def add(subparsers: Subcommands) -> None:
         "in which the likelihood "
         "ratio keeps it: right where a symmetric error bar is not (bounds, ratios, weak "
         "excitation). Writes profile.json "
-        "and report.html. Exit code 0: done; 1: done, and an interval has no end on one side; 2: "
+        "and report.html. Exit code 0: done; 1: done, and an interval has no end on one side, or "
+        "refused, as the model is not finished; 2: "
         "bad input.",
     )
     p.add_argument(
@@ -67,13 +69,14 @@ def add(subparsers: Subcommands) -> None:
     effects_file_option(p)
     model_file_option(p)
     p.add_argument("--out", default="greybox-profile", metavar="DIR", help="folder for the results")
+    source_option(p)
     json_option(p, "profile.json")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fit again from the model's values, profile, report. Returns 1 where an interval has no
-    end."""
+    end, or the model is not finished."""
     import math
 
     from greybox.commands.front_door import profile
@@ -85,6 +88,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError(
             "--level", expected="a probability", got=f"{arguments.level:g}", fix="--level 0.95"
         )
+    if not admitted(arguments, arguments.model):
+        return 1
     console = Console.of(arguments)
     out, (model, train, beside) = Path(arguments.out), _read(arguments)
     with going_on(arguments, console, [beside]):

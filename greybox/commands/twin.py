@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Subcommands, effects_file_option
 from greybox.commands.console import Console, json_option
+from greybox.commands.judgement import even_so_option
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
@@ -69,9 +70,7 @@ def add(commands: Subcommands) -> None:
         help="write over existing files, and remove those of the twin that was there",
     )
     effects_file_option(p)
-    p.add_argument(
-        "--even-so", action="store_true", help="go on although the model was judged not usable"
-    )
+    even_so_option(p)
     json_option(p, "the statement")
     p.set_defaults(run=run)
 

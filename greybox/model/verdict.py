@@ -276,3 +276,14 @@ def demand_usable(verdict: Verdict | None, model: str, *, even_so: bool) -> None
     `even_so`. A model that was not judged passes."""
     if verdict is not None and verdict.refused and not even_so:
         raise ModelError(verdict.sentence, where=model, fix="even_so=True goes on all the same")
+
+
+def demand_finished(verdict: Verdict | None, model: str) -> None:
+    """Raises `ModelError` for the `model` (its name) of a command that ended before the model was
+    judged: whoever builds on it would give it a verdict that is not its own."""
+    if verdict is not None and verdict.outcome is Outcome.UNFINISHED:
+        raise ModelError(
+            verdict.sentence,
+            where=model,
+            fix="dataclasses.replace(model, verdict=None) goes on all the same",
+        )

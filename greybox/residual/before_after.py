@@ -10,6 +10,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.verdict import Verdict
 from greybox.residual.document import HALVES, BeforeAfter, LearnDocument
 from greybox.validation.against import against
+from greybox.validation.gap import readings
 from greybox.validation.options import HorizonChoices
 from greybox.validation.result import Validation
 from greybox.validation.validate import validate
@@ -42,7 +43,7 @@ def judge_both(
             content["warnings"].append(f"no validation {label}: {error}")
     verdict = seen[-1].verdict if HALVES[-1] in validation else None
     if verdict is not None and len(seen) == len(HALVES) and seen[0].verdict is not None:
-        beside = against(*seen)
+        beside = against(seen[0], seen[1], readings(models[0]))
         document = beside.to_dict(f"the physics alone ({base})")
         content["against_physics"] = document
         if content["null"]:

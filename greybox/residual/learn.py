@@ -32,6 +32,7 @@ from greybox.estimation.options import says_choices
 from greybox.model.faults import demand_sound
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
+from greybox.model.verdict import demand_finished
 from greybox.progress import in_notebooks
 from greybox.residual.beside import better, refit_beside
 from greybox.residual.candidates import FeatureMaker, gp_candidates
@@ -245,9 +246,10 @@ def learn(
     `Learner`; `points` are then its features. `refit`: refit the physics beside what is learned;
     kept where left-out flights want it. Findings of the checks named in `accept` do not block.
     Raises `UnknownNameError`, `DataError` (`BadDataError` for flights of a vehicle with faults that
-    block), `ModelError` (a learner that returns what is not finite, too).
+    block), `ModelError` (an unfinished model, a learner that returns what is not finite, too).
     """
     chosen = LearnOptions.of(options, choices)
+    demand_finished(model.verdict, model.name)
     train, physics = Dataset.of(train), physics_of(model.dynamics)
     if physics is not None:
         demand_sound(check(train, physics.vehicle, accept=accept), "learning")

@@ -36,8 +36,8 @@ from greybox.simulators.words import Status
 from greybox.takes import FLIGHTS, MODEL, SIMULATORS, takes
 
 SCHEMA = "greybox.twin/1"
-REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside; learned and
-unexplained pushes and effects with a memory are not in it.
+REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside, what was learned of
+motion and rotor speeds included; unexplained pushes and effects with a memory are not in it.
 """
 PUSHES = """pushes.py has the unexplained pushes that last, to be applied from outside.
 """

@@ -58,7 +58,7 @@ def pieces(craft: Craft) -> dict[str, object]:
     }
     hover = [hover_command(craft)] * craft.count
     hover += [craft.nominal_voltage or 1.0] * (len(dynamics.inputs) - craft.count)
-    own = start_state(craft, blocks, np.array(hover))
+    own = start_state(craft, blocks)
     start[: len(own)] = own
     level = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
     return {

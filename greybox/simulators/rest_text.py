@@ -20,8 +20,8 @@ _TEXT = '''"""What {simulator} leaves out of {title}: written by greybox twin, n
     force, moment = rest(attitude, velocity, position, rate, nu)
     world_force, world_moment = in_world(attitude, force, moment)
 
-Apply it at the centre of mass in every step. Effects with a memory, learned and
-unexplained pushes, lags and sensors are not in it.
+Apply it at the centre of mass in every step. What was learned of these is in it; effects with a
+memory, unexplained pushes, lags and sensors are not.
 """
 
 import math
@@ -71,7 +71,7 @@ def rest_text(craft: Craft, spoken: Craft, simulator: str) -> str | None:
 def _rest_function(craft: Craft, spoken: Craft) -> ca.Function:
     n = craft.count
     given = [ca.SX.sym(a, k) for a, k in zip(ARGUMENTS, (4, 3, 3, 3, n, n), strict=True)]
-    whole, said = wrench_function(craft)(*given), wrench_function(spoken)(*given)
+    whole, said = wrench_function(craft, learned=True)(*given), wrench_function(spoken)(*given)
     w, x, y, z = ca.vertsplit(given[0])
     down = ca.vertcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
     weight = -craft.mass * (craft.gravity - spoken.gravity) * down

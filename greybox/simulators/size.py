@@ -19,9 +19,11 @@ import casadi as ca
 import numpy as np
 
 from greybox.files import Json
+from greybox.model.layer import LearnedPush
 from greybox.model.model import PhysicsModel
 from greybox.simulators.change import Change, changed
 from greybox.simulators.craft import Craft
+from greybox.simulators.learned import learned_at, with_learned
 from greybox.symbolic import FloatArray
 
 POINTS, FLIGHTS, FLIGHT_TIME = 256, 24, 0.5
@@ -63,15 +65,18 @@ class Size:
         return "; ".join(parts) or "nothing that is seen in these flights"
 
 
-def size_of(craft: Craft, change: Change) -> Size:
-    """What a change does to a craft, over its training domain."""
+def size_of(craft: Craft, change: Change, *, unlearned: bool = False) -> Size:
+    """What a change does to a craft, over its training domain; `unlearned`: and losing what was
+    learned beside its physics."""
     other = changed(craft, [change])
     points = _points(craft, POINTS)
     here, there = _accelerations(craft, points), _accelerations(other, points)
+    if unlearned:
+        here = here + _learned_accelerations(craft, points)
     difference = there - here
     force = np.linalg.norm(difference[:3], axis=0)
     turning = np.linalg.norm(difference[3:], axis=0)
-    position, angle = _astray(craft, other)
+    position, angle = _astray(craft, other, unlearned=unlearned)
     return Size(
         force=_rms(force),
         force_max=float(force.max()),
@@ -157,6 +162,28 @@ def _accelerations(craft: Craft, s: _States) -> FloatArray:
     return np.asarray(found, dtype=float)
 
 
+def _learned_accelerations(craft: Craft, s: _States) -> FloatArray:
+    """What was learned, as `_accelerations`."""
+    inputs = _inputs_of(craft, s.inputs)
+    nu = _rotors(craft, inputs)
+    blocks = ("position", "velocity", "attitude", "rate")
+    states = [
+        start_state(craft, {b: getattr(s, b)[:, k] for b in blocks} | {"rotor": nu[:, k]})
+        for k in range(inputs.shape[1])
+    ]
+    push = learned_at(craft, np.stack(states, axis=1), inputs)
+    return np.vstack([push[:3] / craft.mass, np.linalg.solve(craft.inertia, push[3:])])
+
+
+def _rotors(craft: Craft, inputs: FloatArray) -> FloatArray:
+    """Rotor speeds (n, m) that settle under `inputs` (n_u, m)."""
+    physics = craft.physics
+    u, p = ca.SX.sym("u", len(physics.inputs)), ca.SX.sym("p", len(physics.parameters))
+    values = {d.name: p[i] for i, d in enumerate(physics.parameters)}
+    goal = ca.Function("goal", [u, p], [physics.body.rotors.goal(u, values)])
+    return np.asarray(goal(inputs, [craft.values[d.name] for d in physics.parameters]), dtype=float)
+
+
 def _inputs_of(craft: Craft, inputs: FloatArray) -> FloatArray:
     """Inputs (n_u, n) as the craft's model takes them: a change may bring in or take away the
     battery, whose voltage is then the nominal one or not needed."""
@@ -191,7 +218,7 @@ def _thrust_at_hover(craft: Craft, other: Craft) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=64)
-def flight_function(physics: PhysicsModel, dt: float, steps: int) -> ca.Function:
+def flight_function(physics: PhysicsModel | LearnedPush, dt: float, steps: int) -> ca.Function:
     """(x0, inputs over past + steps + future, p) -> states (n_x, steps) of the noise-free model."""
     past, future = physics.window
     x, u = (
@@ -211,15 +238,21 @@ def flight_function(physics: PhysicsModel, dt: float, steps: int) -> ca.Function
 
 
 def fly(
-    craft: Craft, start: Mapping[str, FloatArray], commands: FloatArray, dt: float
+    craft: Craft,
+    start: Mapping[str, FloatArray],
+    commands: FloatArray,
+    dt: float,
+    *,
+    learned: bool = False,
 ) -> FloatArray:
-    """States (n_x, steps) of the craft in our own model, from blocks of `start` (position,
-    velocity, attitude, rate), rotors at the speed of hover, under `commands` (n_u, steps)."""
-    physics = craft.physics
+    """States (n_x, steps) of the craft in our own model, with what was `learned` or by its physics
+    alone, from blocks of `start` (position, velocity, attitude, rate), rotors at the speed of
+    hover, under `commands` (n_u, steps)."""
+    physics = with_learned(craft) if learned else craft.physics
     commands = _inputs_of(craft, commands)
     past, future = physics.window
     steps = commands.shape[1]
-    x0 = start_state(craft, start, commands[:, 0])
+    x0 = start_state(craft, start)
     hover = np.repeat(_hover_inputs(craft, commands)[:, None], past, axis=1)
     record = np.hstack([hover, commands, np.repeat(commands[:, -1:], future, axis=1)])
     p = np.array([craft.values[d.name] for d in physics.parameters])
@@ -230,7 +263,7 @@ def _hover_inputs(craft: Craft, commands: FloatArray) -> FloatArray:
     return np.array([*[craft.hover_nu] * craft.count, *commands[craft.count :, 0]])
 
 
-def start_state(craft: Craft, start: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray:
+def start_state(craft: Craft, start: Mapping[str, FloatArray]) -> FloatArray:
     """x (n_x): blocks by name (position, velocity, attitude, rate; speeds nu as rotor), rotors
     at hover speed and memories zero where not given."""
     axes = {"position": "xyz", "velocity": "xyz", "attitude": "wxyz", "rate": "xyz"}
@@ -250,9 +283,10 @@ def start_state(craft: Craft, start: Mapping[str, FloatArray], inputs: FloatArra
     return np.array(out)
 
 
-def _astray(craft: Craft, other: Craft) -> tuple[float, float]:
+def _astray(craft: Craft, other: Craft, *, unlearned: bool) -> tuple[float, float]:
     """Root mean square distance [m] and angle [rad] between the two after `FLIGHT_TIME`, from
-    drawn states under commands that move about hover."""
+    drawn states under commands that move about hover; `unlearned`: only the first flies with what
+    was learned."""
     random = np.random.default_rng(1)
     points = _points(craft, FLIGHTS)
     dt = craft.sample_time
@@ -270,7 +304,8 @@ def _astray(craft: Craft, other: Craft) -> tuple[float, float]:
             "attitude": points.attitude[:, k],
             "rate": 0.3 * points.rate[:, k],
         }
-        a, b = fly(craft, start, inputs, dt)[:, -1], fly(other, start, inputs, dt)[:, -1]
+        a = fly(craft, start, inputs, dt, learned=unlearned)[:, -1]
+        b = fly(other, start, inputs, dt)[:, -1]
         distances.append(np.linalg.norm(a[:3] - b[:3]))
         angles.append(2.0 * math.acos(min(1.0, abs(float(a[6:10] @ b[6:10])))))
     return _rms(np.array(distances)), _rms(np.array(angles))

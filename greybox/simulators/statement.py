@@ -9,6 +9,7 @@ import numpy as np
 from greybox.files import Json
 from greybox.simulators.change import Change, changed
 from greybox.simulators.craft import Craft
+from greybox.simulators.learned import has_learned
 from greybox.simulators.size import Size, size_of
 from greybox.simulators.target import Target
 from greybox.simulators.words import LEARNED, Status, Word
@@ -88,12 +89,15 @@ def state(target: Target, craft: Craft) -> Statement:
     changes = [w.change for w in words]
     spoken = changed(craft, changes)
     moving = [c for c in changes if c and not _of_sensors(craft, c)]
+    unlearned = any(_loses_what_was_learned(craft, w) for w in words)
     return Statement(
         target=target.name,
         simulator=target.simulator,
         rows=tuple(_row(craft, w) for w in words),
         spoken=spoken,
-        whole=size_of(craft, _together(moving)) if moving else None,
+        whole=size_of(craft, _together(moving), unlearned=unlearned)
+        if moving or unlearned
+        else None,
     )
 
 
@@ -116,9 +120,17 @@ def _together(changes: list[Change]) -> Change:
     )
 
 
+def _loses_what_was_learned(craft: Craft, word: Word) -> bool:
+    lost = word.effect == LEARNED and word.status is Status.LOST
+    return lost and has_learned(craft)
+
+
 def _row(craft: Craft, word: Word) -> Row:
     if word.effect == LEARNED:
-        return Row(word=word, size=None, value=craft.pushes)
+        if not _loses_what_was_learned(craft, word):
+            return Row(word=word, size=None, value=craft.pushes)
+        size = size_of(craft, Change(), unlearned=True)
+        return Row(word=word, size=size, value=f"{craft.pushes} of {size.text}")
     effect = craft.effects.get(word.effect)
     if effect is not None and effect.stage == "sensor":
         return Row(word=word, size=None, value=_numbers(craft, word.effect))

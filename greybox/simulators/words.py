@@ -9,6 +9,7 @@ from typing import Self
 from greybox.model.effect import Effect
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
+from greybox.simulators.learned import has_learned, is_of_motion
 from greybox.symbolic import FloatArray
 
 THRUST_MAP, TORQUE_MAP, GRAVITY = "thrust map", "torque map", "gravity"
@@ -87,10 +88,19 @@ class Wording:
                     effect=LEARNED,
                     status=Status.LOST,
                     how=f"{self.simulator} has no place for them; pushes.py, beside commands.py, "
-                    "and --draws give them",
+                    f"and --draws give {_given(self.craft)}",
                 )
             )
         return tuple(sorted(self.rows, key=lambda w: order.index(w.effect)))
+
+
+def _given(craft: Craft) -> str:
+    """What is given of learned and unexplained pushes beside a simulator's files."""
+    if not has_learned(craft):
+        return "them"
+    if is_of_motion(craft):
+        return "what is unexplained, rest.py what was learned"
+    return "what is unexplained; only NumPy and JAX have what was learned, as it looks at commands"
 
 
 def _no_term(effect: Effect, simulator: str) -> str:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import casadi as ca
 
 from greybox.simulators.craft import Craft
+from greybox.simulators.learned import learned_wrench
 
 ARGUMENTS = ("attitude", "velocity", "position", "rate", "nu", "nu_rate")
 
 
-def wrench_function(craft: Craft) -> ca.Function:
+def wrench_function(craft: Craft, *, learned: bool = False) -> ca.Function:
     """(attitude, velocity and position of the centre of mass in the world, rate, nu, nu_rate) ->
-    force [N] and moment about the centre of mass [N m] in body axes, without gravity."""
+    force [N] and moment about the centre of mass [N m] in body axes, without gravity; with what
+    was `learned` of these."""
     physics, n = craft.physics, craft.count
     q, v, x, rate, nu, change = (
         ca.SX.sym(a, k) for a, k in zip(ARGUMENTS, (4, 3, 3, 3, n, n), strict=True)
@@ -25,4 +27,6 @@ def wrench_function(craft: Craft) -> ca.Function:
     j = ca.DM(craft.inertia)
     moment = j @ alpha + ca.cross(rate, j @ rate)
     out = ca.densify(ca.vertcat(craft.mass * force, moment))
+    push = learned_wrench(craft, blocks, nu) if learned else None
+    out = out if push is None else out + push
     return ca.Function("wrench", [q, v, x, rate, nu, change], [out], {"cse": True})

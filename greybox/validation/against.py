@@ -1,13 +1,16 @@
 """Against: a model beside the one that it was made of, on the same instants of the same flights.
 
-What differs counts where it is more than chance and worth something. Chance is judged as in
+What differs counts where it is more than chance and worth something: more than a trace, and in
+squares more than the error of a single reading there, as a name has to remove (worth.py). Errors
+one sample ahead are the sensor's own, and any share of them is next to nothing. Chance is judged as
+in
 `greybox.validation.comparison`, by blocks of consecutive origins, with the quantile of Student for
 as many, one side, and all groups and horizons together (Bonferroni).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypedDict
 
@@ -53,7 +56,8 @@ class AgainstDocument(TypedDict):
 @dataclass(frozen=True, kw_only=True)
 class Change:
     """Mean errors of the vector norm [unit] of one group, `seconds` ahead, of the model `before`
-    and `after`; `clear`: they differ by more than chance and than what is worth nothing."""
+    and `after`; `level`: they differ by what is worth nothing; `clear`: by more than that and than
+    chance."""
 
     group: str
     unit: str
@@ -61,6 +65,7 @@ class Change:
     before: float
     after: float
     clear: bool
+    level: bool = False
 
     @property
     def worse(self) -> bool:
@@ -119,7 +124,7 @@ class Against:
     def unclear(self) -> tuple[Change, ...]:
         """Of all that differs without being clear the largest rise, and the largest fall."""
         left = [c for c in self.changes if not c.clear and np.isfinite([c.before, c.after]).all()]
-        left = [c for c in left if not _level(c.before, c.after)]
+        left = [c for c in left if not c.level]
         rises = _strongest(c for c in left if c.after > c.before)
         falls = _strongest(c for c in left if c.after < c.before)
         return (*rises[:1], *falls[:1])
@@ -172,9 +177,12 @@ def _with_seconds(changes: Iterable[Change]) -> str:
     return ", ".join(f"{c.numbers} {c.seconds:.2g} s ahead" for c in changes)
 
 
-def _level(before: float, after: float) -> bool:
-    """Whether the difference of two mean errors is worth nothing."""
-    return (1 - TRACE) * before**2 <= after**2 <= (1 + TRACE) * before**2
+def _level(before: float, after: float, reading: float) -> bool:
+    """Whether the difference of two mean errors is worth nothing, where `reading` is the mean
+    squared error of one."""
+    if not np.isfinite([before, after]).all():
+        return before == after
+    return abs(after**2 - before**2) <= max(TRACE * before**2, reading)
 
 
 def _strongest(changes: Iterable[Change]) -> tuple[Change, ...]:
@@ -185,9 +193,12 @@ def _strongest(changes: Iterable[Change]) -> tuple[Change, ...]:
     return tuple(found.values())
 
 
-def against(before: Validation, after: Validation) -> Against:
+def against(
+    before: Validation, after: Validation, readings: Mapping[str, float] | None = None
+) -> Against:
     """How the errors of two models differ that were validated on the same flights in the same way,
-    at the horizons that are listed and at that where skill is stated.
+    at the horizons that are listed and at that where skill is stated. `readings`: group -> mean
+    squared error of one reading of its sensor.
 
     Raises `DataError` where they were not, or one of them has no verdict.
     """
@@ -203,7 +214,7 @@ def against(before: Validation, after: Validation) -> Against:
     ahead = after.verdict.groups[0].seconds
     steps = sorted({*after.horizons, round(ahead / after.sample_time)})
     return Against(
-        changes=_changes(old, new, steps, ahead),
+        changes=_changes(old, new, steps, ahead, readings or {}),
         ahead=ahead,
         judged_on=after.verdict.judged_on,
         flights=after.verdict.flights,
@@ -211,7 +222,11 @@ def against(before: Validation, after: Validation) -> Against:
 
 
 def _changes(
-    old: HorizonTable, new: HorizonTable, steps: Sequence[int], ahead: float
+    old: HorizonTable,
+    new: HorizonTable,
+    steps: Sequence[int],
+    ahead: float,
+    readings: Mapping[str, float],
 ) -> tuple[Change, ...]:
     """Of every group and horizon that both have."""
     groups = [g for g in new.groups if g in old.groups]
@@ -229,6 +244,7 @@ def _changes(
             chance = np.inf
             if blocks[i] > 1:
                 chance = float(student_quantile(1 - share, blocks[i] - 1)) * deviation[i]
+            level = _level(before, after, readings.get(g, 0.0))
             seconds = ahead if h == round(ahead / new.sample_time) else h * new.sample_time
             out.append(
                 Change(
@@ -237,14 +253,13 @@ def _changes(
                     seconds=float(f"{seconds:.9g}"),
                     before=before,
                     after=after,
-                    clear=_clear(before, after, chance),
+                    clear=not level and _beyond(before, after, chance),
+                    level=level,
                 )
             )
     return tuple(out)
 
 
-def _clear(before: float, after: float, chance: float) -> bool:
-    """Whether two mean errors differ by more than `chance` and than what is worth nothing."""
-    if not np.isfinite([before, after]).all():
-        return before != after
-    return not _level(before, after) and abs(after - before) > chance
+def _beyond(before: float, after: float, chance: float) -> bool:
+    """Whether two mean errors differ by more than `chance`; a prediction that diverged does."""
+    return not np.isfinite([before, after]).all() or abs(after - before) > chance

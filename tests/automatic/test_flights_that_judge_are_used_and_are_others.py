@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from greybox import build_model, compare, fit, validate
+from greybox.automatic.fit import adaptation
 from greybox.data import Dataset
 from greybox.errors import DataError, ModelError
+from greybox.estimation.recipe import Recipe
 from greybox.model.verdict import Outcome
 from tests.simulated import flights, vehicle
 
@@ -63,3 +66,17 @@ def test_what_an_explicit_fit_cannot_use_is_refused(sets, model):
     train, _ = sets
     with pytest.raises(ModelError, match="source is where"):
         fit(model, train, source=fit(model, train).model)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "adapted"), [(60.0, 5.0), (15.1, 5.0), (12.0, 4.0), (6.0, 2.0)]
+)
+def test_a_short_flight_adapts_too_on_a_third(sets, seconds, adapted):
+    (segment,) = sets[1]["run1"].segments
+    t = 0.01 * np.arange(round(seconds / 0.01))
+    columns = {n: np.resize(segment.column(n), t.size) for n in segment.names}
+    flight = replace(sets[1]["run1"], segments=(replace(segment, t=t, channels=columns),))
+    test = Dataset(flights=(flight,))
+    assert adaptation(Recipe(adapt=5.0), test) == adapted
+    assert adaptation(Recipe(adapt=5.0), test, 2.0) == 2.0
+    assert adaptation(Recipe(), test) is None

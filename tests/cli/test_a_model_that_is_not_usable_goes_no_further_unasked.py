@@ -1,5 +1,5 @@
 """export and mpc refuse a model that was judged not usable in one line, unless told --even-so; old
-files pass."""
+files pass. What begins with a model and is judged in its turn refuses one that is not finished."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from greybox.files import read_json, write_json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
-from greybox.model.verdict import NOT_JUDGED, GroupSkill, Outcome, Verdict
+from greybox.model.verdict import NOT_JUDGED, UNFINISHED, GroupSkill, Outcome, Verdict
 from greybox.residual.files import load_model, save_model
 from greybox.symbolic import Layout, Signal
 from tests.mpc_export import cases
@@ -114,6 +114,47 @@ def test_everything_else_passes_and_says_what_it_is_worth(
     assert found.open
     assert (NOT_JUDGED if outcome is None else LINES[outcome]) in found.line
     assert ("warning" in found.line) is (outcome is not Outcome.USABLE)
+
+
+NO_LOG = "nowhere.csv"
+BEGIN = {
+    "learn": "learn MODEL --train LOG",
+    "profile": "profile MODEL --train LOG --of mass",
+    "plan": "plan --model MODEL --for rotor_drag --seconds -1",
+    "frf": "frf --model MODEL --train LOG --inputs roll --outputs p",
+    "compare": "compare --vehicle VEHICLE --fitted MODEL --train LOG --test LOG",
+    "fit": "fit --vehicle VEHICLE --from MODEL --train LOG",
+    "discover": "discover --from MODEL --train LOG",
+}
+
+
+@pytest.mark.parametrize("command", BEGIN)
+@pytest.mark.parametrize("said", [UNFINISHED, verdict(Outcome.NOT_USABLE), None])
+def test_what_is_not_finished_is_no_beginning(
+    command: str, said: Verdict | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "model.json", tmp_path / "out"
+    save_model(replace(cases.physics(), verdict=said), path)
+    words = {"MODEL": path, "LOG": NO_LOG, "VEHICLE": gb.examples.vehicle_path("nanobench")}
+    line = [str(words.get(w, w)) for w in [*BEGIN[command].split(), "--out", str(out)]]
+    code, found = main(line), capsys.readouterr().err
+    assert not list(out.rglob("*"))
+    assert (code == 1) is (said is UNFINISHED), found
+    if said is None:
+        assert "warning" not in found
+        return
+    assert f"{path}: {said.line}" in found
+    if said is UNFINISHED:
+        assert "--even-so" in found and len(found.strip().splitlines()) == 1
+        assert main([*line, "--even-so"]) == 2
+        assert f"warning: {path}: {said.line}" in capsys.readouterr().err
+
+
+def test_python_learns_from_no_unfinished_model_either() -> None:
+    model = cases.physics()
+    flight = gb.dataset_from_arrays(np.arange(3) / 100, {"u1": np.zeros(3)})
+    with pytest.raises(ModelError, match="UNFINISHED"):
+        gb.learn(replace(model, verdict=UNFINISHED), flight)
 
 
 UNSETTLED = "not converged: iteration limit reached"

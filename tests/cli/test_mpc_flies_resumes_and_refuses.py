@@ -4,6 +4,7 @@ line, nothing is left."""
 import importlib.util
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ET
 from importlib import resources
 
@@ -12,6 +13,7 @@ import pytest
 
 from greybox.cli import main
 from greybox.data.readers.ros import read_ros
+from greybox.errors import ModelError
 from greybox.residual.files import save_model
 from mpc_export.mission import campaign, prepare
 from tests.mpc_export import cases
@@ -99,6 +101,19 @@ def test_a_recording_has_every_watched_flight_with_its_plans_and_crossings(flown
     assert {"/flight_1000/tube/plan", "/flight_1001/mean/plan", "/flight_1000/tube/tf"} <= set(
         streams
     )
+
+
+def test_what_the_report_warns_of_is_said(models, flown, tmp_path, monkeypatch, capsys):
+    def fails(*_, **__):
+        raise ModelError("rehearsed flights fail too often")
+
+    monkeypatch.setattr(prepare, "TUNING", 2)
+    monkeypatch.setattr(prepare, "rehearsed", fails)
+    out = shutil.copytree(flown, tmp_path / "again")
+    command = ["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--out", str(out)]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "warning: Rehearsals do not bound the risk, so that Boole's inequality does" in said
 
 
 def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monkeypatch, capsys):

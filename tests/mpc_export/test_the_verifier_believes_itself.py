@@ -60,6 +60,25 @@ def test_a_good_bundle_passes_and_a_wrong_number_does_not(bundle):
     assert verify.main([str(bundle)]) == 1
 
 
+def test_what_failed_is_not_said_to_be_verified(bundle, capsys):
+    wrong_golden(bundle)
+    assert verify.main([str(bundle)]) == 1
+    said = capsys.readouterr().out
+    assert "\n  verified: " not in said
+    assert "\n  FAILED: C, rebuild, casadi files\n" in said
+
+
+def test_an_innovation_is_judged_by_the_rounding_of_what_is_measured(tmp_path):
+    near = cases.disturbed()
+    folder = write_bundle(
+        near, tmp_path / "near", with_=("filter",), targets=("casadi",), use_cache=False
+    ).folder
+    (step,) = [f for f in verify.read_manifest(folder)["functions"] if f["name"] == "filter_step"]
+    scale = {port["name"]: port["scale"] for port in step["results"]}
+    assert scale["e"] >= scale["y_hat"] > 0
+    assert verify.main([str(folder), "--no-c"]) == 0
+
+
 def test_a_bundle_cannot_widen_what_it_is_judged_by(bundle, capsys):
     wrong_golden(bundle)
     change(bundle, lambda m: m.update(tolerance=1e9))
@@ -79,7 +98,9 @@ def test_a_bundle_cannot_widen_what_it_is_judged_by(bundle, capsys):
 def test_a_file_that_the_manifest_does_not_list_is_named(bundle, capsys):
     (bundle / "c" / "evil.h").write_text("#define sin cos\n")
     assert verify.main([str(bundle), "--no-c"]) == 1
-    assert "not of the export: c/evil.h" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "not of the export: c/evil.h" in said
+    assert said.endswith("  FAILED: files were changed or added since the export\n")
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "golden/f_d.csv", "python/rebuild.py", "c/new"])

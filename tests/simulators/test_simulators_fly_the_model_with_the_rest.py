@@ -1,21 +1,25 @@
 """PyBullet and JSBSim, given the written files, are within 1 % of what their statements say over
 half a second; and with the force and moment of rest.py every simulator is within 1 % of the whole
-model."""
+model, what was learned included, whose loss is never silent."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from greybox.model.identified import IdentifiedModel
+from greybox.residual.hybrid import HybridModel
 from greybox.simulators.craft import Craft
 from greybox.simulators.make import twin
 from greybox.simulators.size import fly
 from greybox.simulators.statement import agreement
-from greybox.simulators.words import Status
+from greybox.simulators.words import LEARNED, Status
 from scenarios.foreign.plant import MissingSimulator
 from scenarios.twins.written import FLYERS, Start
+from tests.residual import hybrid_cases
 from tests.simulators.identified import AERODYNAMICS, START, Array, identified, manoeuvre
 
 NOT_SAID = {
@@ -77,6 +81,44 @@ def test_with_the_rest_every_simulator_flies_the_model(target: str, tmp_path: Pa
     assert max(apart.values()) < 0.01, apart
     without = agreement(ours, fly(statement.spoken, START, u, 0.01)[:13])
     assert without["rate"] > 0.05, "what is left out can be seen"
+
+
+def learned(*features: str) -> IdentifiedModel:
+    """A craft whose physics has motor lag alone, under a push that was learned of `features`."""
+    model = identified({"motor_lag.tau": 0.05}, gravity=9.80665)
+    push = hybrid_cases.push(model.dynamics, features, ("force.z", "torque.x", "torque.y"))
+    scaled = replace(push, output_scale=np.array([1.0, 0.01, 0.02]))
+    return replace(model, dynamics=HybridModel(inner=model.dynamics, posterior=scaled))
+
+
+MOTION = ("body_velocity.x", "gravity.y", "q", "nu1")
+
+
+@pytest.mark.parametrize("target", ["drone-models", "pybullet"])
+def test_what_was_learned_flies_with_the_rest(target: str, tmp_path: Path) -> None:
+    (statement,) = twin(learned(*MOTION), [target], out=tmp_path).statements
+    craft = Craft.of(learned(*MOTION))
+    u = manoeuvre(craft.hover_nu)
+    ours = fly(craft, START, u, 0.01, learned=True)[:13]
+    apart = agreement(ours, flown(target, tmp_path, craft.hover_nu, u, rest=True))
+    assert max(apart.values()) < 0.01, apart
+    without = agreement(ours, fly(statement.spoken, START, u, 0.01)[:13])
+    assert without["rate"] > 0.05, "what is left out can be seen"
+
+
+@pytest.mark.parametrize("features", [MOTION, ("body_velocity.x", "u1")])
+def test_what_was_learned_is_not_lost_without_a_number(features: tuple[str, ...]) -> None:
+    made = twin(learned(*features), ["mujoco", "gazebo", "numpy"])
+    *others, own = made.statements
+    assert own.whole is None
+    for statement in others:
+        (row,) = [r for r in statement.rows if r.word.effect == LEARNED]
+        assert row.word.status is Status.LOST and row.size is not None
+        assert row.size.position > 1e-3 and statement.whole is not None
+        assert statement.whole.position == pytest.approx(row.size.position, rel=0.3)
+        assert "says everything" not in statement.headline
+        assert ("rest.py what was learned" in row.text) is (features is MOTION)
+    assert ("mujoco/rest.py" in made.files) is (features is MOTION)
 
 
 def test_gravity_that_pybullet_fixes_is_a_row() -> None:

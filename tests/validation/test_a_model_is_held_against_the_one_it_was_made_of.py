@@ -92,6 +92,17 @@ def test_what_grows_everywhere_by_less_than_a_trace_is_no_difference() -> None:
     assert against(BEFORE, seen([1.011 * e for e in LEVEL], LEVEL)).says == "worse"
 
 
+@pytest.mark.parametrize("times", [0.8, 1.2])
+def test_what_differs_by_less_than_one_reading_is_no_difference(times: float) -> None:
+    """One sample ahead an error is mostly the sensor's own: 1.7 % of that made a model worse whose
+    errors were half as large a second ahead."""
+    after, other = seen([times * e for e in LEVEL], LEVEL), ("better", "worse")[times > 1]
+    reading = abs(times**2 - 1)
+    assert against(BEFORE, after, {"position": 0.99 * reading}).says == other
+    assert against(BEFORE, after, {"position": 1.01 * reading}).says == "not clear"
+    assert against(BEFORE, after, {"rotation": 1.01 * reading}).says == other
+
+
 def test_a_prediction_that_diverges_is_worse() -> None:
     after = seen(LEVEL, [*LEVEL[:-1], np.inf])
     found = against(BEFORE, after)
