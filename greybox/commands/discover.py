@@ -48,7 +48,8 @@ def add(subparsers: Subcommands) -> None:
         "(the improved model), "
         "report.html and, where what is left follows a law, proposal_<n>.py and "
         "model_with_laws.json. Exit code 0: done, 1: not searched, as a fault of a log or of the "
-        "vehicle file blocks, 2: bad input, 130: interrupted (the files hold what was found until "
+        "vehicle file blocks, or the model of --from is not finished, 2: bad input, 130: "
+        "interrupted (the files hold what was found until "
         "then, and the same command goes on).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")

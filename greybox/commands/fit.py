@@ -52,7 +52,8 @@ def add(subparsers: Subcommands) -> None:
         "from the flights, each choice with its reason; command.sh says all of them. "
         "Writes fit.json, model.json "
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not "
-        "usable, or a fault of all flights or of the vehicle file blocks, 2: bad input, 130: "
+        "usable, or a fault of all flights or of the vehicle file blocks, or the model of --from is "
+        "not finished, 2: bad input, 130: "
         "interrupted (the same command goes on; with --model-file it starts again).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
@@ -159,7 +160,7 @@ def _fitted(job: Job, console: Console) -> Fit:
             result = fit_open(job.vehicle, job.prepared, said, console)
     except Interrupted as stop:
         withdraw(job.out, *RESULTS)
-        save(job, stop.kept)
+        save(job, stop.kept.judged(UNFINISHED))
         arguments.kept = interrupted(job.out)
         raise
     withdraw(job.out, *RESULTS)

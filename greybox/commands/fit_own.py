@@ -45,6 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.status import Interrupted
     from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.own_model import load_own_model
+    from greybox.model.verdict import UNFINISHED
 
     _refuse_vehicles(arguments)
     console = Console.of(arguments)
@@ -59,14 +60,15 @@ def run(arguments: argparse.Namespace) -> int:
         found = fit(model, train, fit_options(arguments), progress=console.solver)
     except Interrupted as stop:
         withdraw(out, *RESULTS)
-        _save(stop.kept, [], out)
+        _save(stop.kept.judged(UNFINISHED), [], out)
         arguments.kept = f"{interrupted(out)}; the same command starts again"
         raise
     warnings = (
         [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
     )
     withdraw(out, *RESULTS)
-    _save(found, warnings, out)  # the fit is safe before anything else can go wrong
+    # The fit is safe before anything else can go wrong.
+    _save(found.judged(UNFINISHED), warnings, out)
     seen: Validation | None = None
     try:
         seen = _judged(found, test if test.flights else train, arguments.adapt, horizons)

@@ -45,7 +45,7 @@ def add(subparsers: Subcommands) -> None:
         "response "
         "lies over it, and where they part is said. Writes frf.json, frf.csv and report.html. Exit "
         "code 0: done; 1: no frequency is usable (coherence too low, or a closed loop without "
-        "references); 2: bad input.",
+        "references), or the model is not finished; 2: bad input.",
     )
     p.add_argument(
         "--train", required=True, nargs="+", metavar="LOG", help="flights; all are averaged"

@@ -165,6 +165,7 @@ def test_fit_keeps_the_best_values(fitted: Path) -> None:
     assert files(fitted) - {FILE} == {"fit.json", "model.json"}
     kept = json.loads((fitted / "out" / "fit.json").read_text())
     assert not kept["status"]["converged"]
+    assert kept["verdict"]["line"].startswith("UNFINISHED")
     assert "interrupted" in kept["warnings"][0]
 
 
@@ -178,5 +179,9 @@ def test_nothing_half_written_is_left(command: str, tmp_path: Path) -> None:
     importlib.util.find_spec("gpytorch") is None, reason="the extra gp is not installed"
 )
 def test_learn_leaves_no_hybrid(fitted: Path, tmp_path: Path) -> None:
-    interrupted(["learn", str(fitted / "out" / "model.json"), "--train", LOG], " % ", tmp_path)
+    learn = ["learn", str(fitted / "out" / "model.json"), "--train", LOG]
+    command = [sys.executable, "-m", "greybox.cli", *learn, "--out", "out"]
+    refused = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert refused.returncode == 1 and "UNFINISHED" in refused.stderr
+    interrupted([*learn, "--even-so"], " % ", tmp_path)
     assert files(tmp_path) == set()
