@@ -244,7 +244,7 @@ def _changes(
             chance = np.inf
             if blocks[i] > 1:
                 chance = float(student_quantile(1 - share, blocks[i] - 1)) * deviation[i]
-            level = _level(before, after, readings.get(g, 0.0))
+            level = _level(before, after, readings.get(g, 0.0) if h == 1 else 0.0)
             seconds = ahead if h == round(ahead / new.sample_time) else h * new.sample_time
             out.append(
                 Change(

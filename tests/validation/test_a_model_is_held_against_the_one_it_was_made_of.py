@@ -93,14 +93,20 @@ def test_what_grows_everywhere_by_less_than_a_trace_is_no_difference() -> None:
 
 
 @pytest.mark.parametrize("times", [0.8, 1.2])
-def test_what_differs_by_less_than_one_reading_is_no_difference(times: float) -> None:
+def test_less_than_one_reading_is_no_difference_one_sample_ahead_and_is_one_later(
+    times: float,
+) -> None:
     """One sample ahead an error is mostly the sensor's own: 1.7 % of that made a model worse whose
-    errors were half as large a second ahead."""
-    after, other = seen([times * e for e in LEVEL], LEVEL), ("better", "worse")[times > 1]
-    reading = abs(times**2 - 1)
-    assert against(BEFORE, after, {"position": 0.99 * reading}).says == other
-    assert against(BEFORE, after, {"position": 1.01 * reading}).says == "not clear"
-    assert against(BEFORE, after, {"rotation": 1.01 * reading}).says == other
+    errors were half as large a second ahead. Later it is the model's."""
+    after, says = seen([times * e for e in LEVEL], LEVEL), ("better", "worse")[times > 1]
+    squares = abs(times**2 - 1) * 0.01**2  # of the errors one step ahead
+    for reading, level in ((0.99 * squares, False), (1.01 * squares, True), (1.0, True)):
+        found = against(BEFORE, after, {"position": reading})
+        first, *later = (c for c in found.changes if c.group == "position")
+        assert (first.seconds, first.level, first.clear) == (0.01, level, not level)
+        assert found.says == says and all(c.clear for c in later)
+    first = against(BEFORE, after, {"rotation": 1.0}).changes[0]
+    assert first.clear
 
 
 def test_a_prediction_that_diverges_is_worse() -> None:
