@@ -69,9 +69,10 @@ def test_what_an_explicit_fit_cannot_use_is_refused(sets, model):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "adapted"), [(60.0, 5.0), (15.1, 5.0), (12.0, 4.0), (6.0, 2.0)]
+    ("seconds", "adapted"),
+    [(60.0, 5.0), (15.1, 5.0), (12.0, 4.0), (6.0, 2.0), (2.0, 0.6), (1.2, None), (0.7, None)],
 )
-def test_a_short_flight_adapts_too_on_a_third(sets, seconds, adapted):
+def test_a_short_flight_adapts_too_on_a_third_where_enough_is_left_to_judge(sets, seconds, adapted):
     (segment,) = sets[1]["run1"].segments
     t = 0.01 * np.arange(round(seconds / 0.01))
     columns = {n: np.resize(segment.column(n), t.size) for n in segment.names}
