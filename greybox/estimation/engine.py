@@ -91,7 +91,7 @@ class Windows:
         that window begins: of `rows` (m,), else one window a sample."""
         if self.failed_in is not None:
             at = self.failed_in if rows is None else rows[self.failed_in]
-            raise FitError(f"{what} is not finite from sample {at}")
+            raise FitError(f"{what} that begins at sample {at} is not finite")
 
 
 class Engine:

@@ -17,9 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.estimation.tape import Linear
-from greybox.symbolic import FloatArray, mapped
+from greybox.symbolic import CHUNK, BoolArray, FloatArray, mapped
 
 IntArray = npt.NDArray[np.int32]
+Rows = npt.NDArray[np.int_]
 Pointer = object
 """Memory as ctypes hands it to C."""
 
@@ -339,7 +340,7 @@ class Interpreted:
         return 0
 
     def windows(self, runs: OpenRuns) -> int:
-        """As `Recursion` says: all runs together, a sample at a time; one that stops being finite
+        """As `Recursion` says: many runs together, a sample at a time; one that stops being finite
         is left where it was."""
         step = np.arange(runs.length.max(initial=0))
         wanted = step >= (runs.length - runs.tail)[:, None]
@@ -347,38 +348,44 @@ class Interpreted:
         if runs.asked is not None:
             wanted &= runs.asked != 0
         # Where the innovations of each run and sample go: in the order of both.
-        place = np.cumsum(wanted).reshape(wanted.shape) - 1
-        width, na = np.arange(self.sizes.window), len(self.columns)
+        place = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
         well = np.ones(len(runs.first), dtype=bool)
-        for t in step.tolist():
-            live = np.flatnonzero((runs.length > t) & well)
-            rows, keep, m = runs.first[live] + t, wanted[live, t], live.size
-            if not m:
-                break
-            at = (
-                runs.x[live].T,
-                runs.u[rows[:, None] + width].transpose(2, 0, 1).reshape(self.sizes.inputs, -1),
-                runs.y[rows].T,
-                np.repeat(runs.p[:, None], m, axis=1),
-                np.full((1, m), runs.dt),
-            )
-            after, e, _ = (v.full().T for v in mapped(self.value, m)(*at))
-            seen = runs.mask[rows] != 0
-            runs.e[place[live[keep], t]] = (e * seen)[keep]
-            if runs.s is not None and runs.de is not None:
-                s = runs.s[live]
-                a, b, ex, ep = (
-                    v.full().reshape(v.shape[0], m, -1).transpose(1, 0, 2)
-                    for v in mapped(self.slope(), m)(*at)
-                )
-                de, moved = ex @ s, a @ s
-                de[:, :, :na] += ep[:, :, self.columns]
-                moved[:, :, :na] += b[:, :, self.columns]
-                runs.de[place[live[keep], t]] = (de * seen[:, :, None])[keep]
-                runs.s[live] = moved
-            runs.x[live] = after
-            well[live] = np.isfinite(after).all(axis=1)
+        for first in range(0, well.size, CHUNK):  # all of them together are too much memory
+            some = np.arange(first, min(first + CHUNK, well.size))
+            for t in step.tolist():
+                live = some[(runs.length[some] > t) & well[some]]
+                if live.size:
+                    well[live] = self._one_sample(runs, live, t, place[live, t])
         return 0 if well.all() else 1 + int(np.argmin(well))
+
+    def _one_sample(self, runs: OpenRuns, live: Rows, t: int, into: Rows) -> BoolArray:
+        """Sample t of the runs `live` (m,), whose innovations go `into` (m,) these rows, -1 for
+        nowhere; whether they are finite after it."""
+        rows, m, keep = runs.first[live] + t, live.size, into >= 0
+        width, na = np.arange(self.sizes.window), len(self.columns)
+        at = (
+            runs.x[live].T,
+            runs.u[rows[:, None] + width].transpose(2, 0, 1).reshape(-1, m * width.size),
+            runs.y[rows].T,
+            np.repeat(runs.p[:, None], m, axis=1),
+            np.full((1, m), runs.dt),
+        )
+        after, e, _ = (v.full().T for v in mapped(self.value, m)(*at))
+        seen = runs.mask[rows] != 0
+        runs.e[into[keep]] = (e * seen)[keep]
+        if runs.s is not None and runs.de is not None:
+            s = runs.s[live]
+            a, b, ex, ep = (
+                v.full().reshape(v.shape[0], m, -1).transpose(1, 0, 2)
+                for v in mapped(self.slope(), m)(*at)
+            )
+            de, moved = ex @ s, a @ s
+            de[:, :, :na] += ep[:, :, self.columns]
+            moved[:, :, :na] += b[:, :, self.columns]
+            runs.de[into[keep]] = (de * seen[:, :, None])[keep]
+            runs.s[live] = moved
+        runs.x[live] = after
+        return np.asarray(np.isfinite(after).all(axis=1))
 
     def rollout(self, runs: Rollout) -> None:
         """As `Recursion` says."""

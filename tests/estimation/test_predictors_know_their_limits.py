@@ -274,7 +274,7 @@ def test_shooting_alone_ends_close_to_the_optimum() -> None:
 def test_a_window_that_is_not_finite_is_named_by_its_sample() -> None:
     none = np.zeros((0, 1))
     lost = Windows(innovations=none, sensitivity=None, ends=none, end_sensitivity=None, failed_in=2)
-    with pytest.raises(FitError, match="flight a is not finite from sample 30"):
+    with pytest.raises(FitError, match="flight a that begins at sample 30 is not finite"):
         lost.demand_finite("flight a", np.array([0, 15, 30]))
-    with pytest.raises(FitError, match="flight a is not finite from sample 2"):
+    with pytest.raises(FitError, match="flight a that begins at sample 2 is not finite"):
         lost.demand_finite("flight a")
