@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,6 @@ from mpc_export.functions import ModelFunctions
 from mpc_export.golden import FARTHEST, Golden
 from mpc_export.model_parts import Reading, readings, shared
 from mpc_export.template import filled
-from mpc_export.verify import DIFFERENCES
 
 CODES = (
     ("OK", "results are written"),
@@ -410,7 +409,7 @@ class CModel:
             if p.nnz:
                 gap = (
                     f"compare({place}, want_{p.name}, {p.nnz}, "
-                    f"{_number(scale_of(golden.results, p.name))})"
+                    f"{_number(scale_of(golden.results[p.name]))})"
                 )
                 lines.append(f'    judge("{f.name}, {p.name}", code, {gap});')
         return lines
@@ -435,12 +434,11 @@ class CModel:
             (folder / name).write_text(own, encoding="utf-8")
 
 
-def scale_of(results: Mapping[str, npt.ArrayLike], name: str) -> float:
-    """Scale of the output `name` of the golden `results` of a function: its largest size over the
-    points (1e-30 for one that is zero everywhere), or that of what it is the difference of."""
-    names = {name, DIFFERENCES.get(name, name)} & results.keys()
-    values = [np.abs(np.asarray(results[n], dtype=float)) for n in names]
-    return max(1e-30, *(float(v.max(initial=0.0)) for v in values))
+def scale_of(results: npt.ArrayLike) -> float:
+    """Scale of an output: its largest size over the golden points (1e-30 for one that is zero
+    everywhere)."""
+    values = np.abs(np.asarray(results, dtype=float))
+    return max(float(values.max(initial=0.0)), 1e-30)
 
 
 def _table(rows: Sequence[Sequence[int]]) -> str:

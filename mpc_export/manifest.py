@@ -371,7 +371,7 @@ def _function(function: ca.Function, golden: Golden) -> FunctionRow:
 
     results = ports("out")
     for port in results:
-        port["scale"] = scale_of(golden.results, port["name"])
+        port["scale"] = scale_of(golden.results[port["name"]])
     return {"name": function.name(), "arguments": ports("in"), "results": results}
 
 
