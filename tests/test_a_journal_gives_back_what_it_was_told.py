@@ -7,6 +7,7 @@ import contextlib
 import errno
 import json
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,6 +196,27 @@ def test_what_cannot_be_kept_is_asked_again(tmp_path: Path) -> None:
             assert journal.answers(["c"], work, object) == [1.0]
             raise KeyboardInterrupt
     assert asked == [0, 1, 0, 1]
+
+
+def test_time_is_spared_once_where_an_answer_asked_in_its_turn(tmp_path: Path) -> None:
+    def inner(places: Sequence[int]) -> Iterator[tuple[int, float]]:
+        for k in places:
+            time.sleep(0.2)
+            yield k, 1.0
+
+    def outer(places: Sequence[int]) -> Iterator[tuple[int, float]]:
+        for k in places:
+            with journal.apart("shared"):
+                yield k, journal.answers(["fit"], inner, float)[0]
+
+    with contextlib.suppress(KeyboardInterrupt), journal.kept_in(tmp_path / "j", GIVEN):
+        journal.answers(["method"], outer, float)
+        raise KeyboardInterrupt
+    with journal.kept_in(tmp_path / "j", GIVEN):
+        journal.answers(["method"], outer, float)
+        with journal.apart("shared"):
+            journal.answers(["fit"], inner, float)
+        assert 0.2 <= journal.spared() < 0.4
 
 
 def test_without_a_journal_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
