@@ -29,6 +29,7 @@ SAYS = {
     "unnamed": "something is left that no effect on offer explains",
     "nothing_missing": "nothing is missing at the power of these data",
 }
+UNLIKE = " (the flights that judge deny it: they are not like the others, as in another wind)"
 
 
 def first_line(found: Discovery) -> str:
@@ -46,7 +47,9 @@ def first_line(found: Discovery) -> str:
         : len(lawful)
     ]
     held = dict.fromkeys(u["channel"].split(".")[0] for u in found.unnamed() if not u["file"])
-    kept = ", ".join(n.name for n in found.said("not certified") if n.kept)
+    doubted = [n for n in found.said("not certified") if n.kept]
+    denied = [n for n in doubted if n.certificate.rivals.get((), 0.0) <= -found.bar]
+    kept = ", ".join(n.name + UNLIKE * (n in denied) for n in doubted)
     traces = ", ".join(n.name for n in found.said("trace") if n.kept)
     told = found.model_verdict
     rough = f"{told.sentence}. " if told and told.refused else doubt(found.gap)
