@@ -127,8 +127,7 @@ class Scores:
         return Proposal(causes=tuple(names), gain=gain, start=start)
 
     def begun(self, key: Key, null: float, step: float) -> float:
-        """Where a fit of a parameter begins, a `step` from none: no slope leads to where it is felt
-        first."""
+        """Where a fit begins, a `step` from none: no slope leads to where it is felt first."""
         return null + float(np.sign(step)) * max(abs(step), self.least.get(key, 0.0))
 
     def smallest(self, name: str, bar: float, share: float) -> dict[str, float]:

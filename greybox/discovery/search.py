@@ -187,10 +187,9 @@ class Search:
             return [at.known]
         null, begun = self.flights.causes.prior_of, self._scored(at).begun
         zero = {k: v if (own := null(k[0])) is None else own[0] for k, v in p.start.items()}
-        off = {k: v - zero[k] for k, v in p.start.items()}
         return [
-            {**at.known, **{k: begun(k, zero[k], share * d) for k, d in off.items()}}
-            for share in self.flights.effort.shares
+            {**at.known, **{k: begun(k, zero[k], part * (v - zero[k])) for k, v in p.start.items()}}
+            for part in self.flights.effort.shares
         ]
 
     def _leaner(self, at: Fitted, last: bool = False) -> Fitted | None:
