@@ -383,21 +383,21 @@ class _Run:
         return self._without_traces(names, at)
 
     def _without_traces(self, names: list[Name], at: Fitted) -> Judged:
-        """The names, and the structure without causes that have none. Traces, which no reading
-        shows to gain or harm, stay where what is said rests on them."""
-        asked = self.options.trace
-        names = [replace(n, kept=n.kept or (asked and n.status == "trace")) for n in names]
+        """Names, and the structure without what has none but traces that numbers rest on."""
+        traces, all_stay = {n.name for n in names if n.status == "trace"}, self.options.trace
+        names = [replace(n, kept=n.kept or (all_stay and n.name in traces)) for n in names]
         gone = {n.name for n in names if n.status not in NAMED and not n.kept}
-        traces = {n.name for n in names if n.status == "trace"}
         bare = self.flights.fit(at.structure - gone, [at.known]) if gone else at
         if not traces & gone:
             return names, bare
         whole = self.flights.fit(at.structure - (gone - traces), [at.known])
         old, new = self.held_out(bare), self.held_out(whole)
-        ways = [] if old is None or new is None else [(old, new), (new, old)]
+        ways = ((old, new), (new, old)) if old and new else ()
         gain, harm = [worth(a, b, RULES.span).matters for a, b in ways] or (False, False)
-        moved = [] if harm else moved_names(names, self.settled(whole), bare)
-        if not moved and not gain:
+        moved = moved_names(names, self.settled(whole), bare)
+        if not gain and (harm or not moved):
+            less = f"without {', '.join(sorted(traces))} (traces with which errors ahead grow)"
+            self.warnings += [f"{n} is elsewhere {less}, beyond its error" for n in moved]
             return names, bare
         return [stays(n, moved) if n.name in traces & gone else n for n in names], whole
 

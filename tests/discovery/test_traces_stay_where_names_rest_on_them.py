@@ -90,8 +90,13 @@ def test_a_trace_leaves_only_where_nothing_that_is_said_rests_on_it_or_errors_sh
         flights=SimpleNamespace(fit=lambda structure, _starts: told[frozenset(structure)]),
         held_out=lambda at: foresight(1.0 + grown * (at.structure == bare.structure)),
         settled=lambda _at: fit,
+        warnings=[],
     )
     names, at = _Run._without_traces(run, names_of_two(ahead=ahead), whole)
     stay = asked or grown > 0 or (moved > 0 and grown == 0)
     assert at.structure == (whole if stay else bare).structure
     assert names[1].kept is stay and names[1].status == "trace"
+    moved_away = moved > 0 and not stay
+    assert [w.partition(" (")[0] for w in run.warnings] == [
+        "rotational_damping.d_p is elsewhere without gyro_bias"
+    ][: int(moved_away)]
