@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -145,6 +146,13 @@ def withdraw(folder: str | os.PathLike[str], *names: str) -> None:
     for name in names:
         with contextlib.suppress(OSError):
             (Path(folder) / name).unlink()
+
+
+def set_aside(path: Path) -> Path:
+    """The file, of an earlier search and perhaps edited since, under the first free name F.old,
+    F.old2, ..."""
+    names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
+    return path.replace(next(name for name in names if not name.exists()))
 
 
 def check_writable(path: str | os.PathLike[str], *, folder: bool = False) -> None:

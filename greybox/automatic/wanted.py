@@ -187,7 +187,7 @@ def _told(found: Fit, at: Parabola, seen: Averaged, wide: Problem, there: FloatA
         if i in row:
             by_name.setdefault(u.name, []).append(row[i])
     away = moved_away(found, seen.shift, by_name)
-    limits = frozenset(n.split(".")[0] for n in wide.thresholds)
+    limits = frozenset(n.split(".")[0] for n, _ in wide.thresholds)
     pushed = _beyond(seen.best, wide, there)
     line = _line(away, seen.best, limits, bounded=bool(pushed))
     held = widened(found, seen.spread, by_name, line)

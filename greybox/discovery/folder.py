@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greybox.discovery.document import DiscoveryDocument
 from greybox.files import withdraw, write_atomic, write_json
-from greybox.residual.laws.effect_file import LAW_FILE
+from greybox.residual.laws.effect_file import set_aside_laws
 
 if TYPE_CHECKING:
     from greybox.discovery.result import Discovery
@@ -38,18 +36,3 @@ def write_found(
             withdraw(out, WITH_LAWS)
     write_json(out / "discovery.json", content)
     return out
-
-
-def set_aside(path: Path) -> Path:
-    """The file, of an earlier search and perhaps edited since, under the first free name F.old,
-    F.old2, ..."""
-    names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
-    return path.replace(next(name for name in names if not name.exists()))
-
-
-def set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
-    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name
-    -> text)."""
-    for old in out.glob("proposal_*.py"):
-        if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
-            set_aside(old)

@@ -67,7 +67,7 @@ def further(
         "effects": kept,
         "not_certified": [*content["not_certified"], *lost],
         "tested_on": [*content["tested_on"], *data.names],
-        "line": _line(kept),
+        "line": _line(kept, content["line"]),
         "verdict": _verdict(content, kept),
     }
 
@@ -152,6 +152,8 @@ def _verdict(content: DiscoveryDocument, kept: Iterable[NamedRow]) -> str:
     return "unnamed" if content["unnamed"] else "nothing_missing"
 
 
-def _line(kept: Iterable[NamedRow]) -> str:
-    said = [f"{e['name']} (log10 e {e['log10_e']:.1f})" for e in kept]
-    return "MISSING: " + "; ".join(said) if said else "no name holds on the further flights"
+def _line(kept: Iterable[NamedRow], before: str) -> str:
+    """The names now, and what was said `before` of the model and of what has no name."""
+    said = "; ".join(f"{e['name']} (log10 e {e['log10_e']:.1f})" for e in kept)
+    now, mark = f"MISSING: {said}" if said else "no name holds on the further flights", ". Before: "
+    return now + mark + before.split(mark)[-1]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -74,6 +74,8 @@ class Scores:
     absent: tuple[str, ...]
     readings: int = 0
     """Readings of all sensors that were foretold."""
+    least: Mapping[Key, float] = field(default_factory=dict)
+    """Sizes below which nothing is felt of a parameter (a limit that no command reaches)."""
     unscored: tuple[str, ...] = ()
     """Causes that bring a motion which the fit does not have (a velocity that nothing measures):
     their score would be that of a state that nobody holds, and only a fit can tell."""
@@ -124,6 +126,10 @@ class Scores:
             )
         return Proposal(causes=tuple(names), gain=gain, start=start)
 
+    def begun(self, key: Key, null: float, step: float) -> float:
+        """Where a fit begins, a `step` from none: no slope leads to where it is felt first."""
+        return null + float(np.sign(step)) * max(abs(step), self.least.get(key, 0.0))
+
     def smallest(self, name: str, bar: float, share: float) -> dict[str, float]:
         """Per parameter of an absent cause, the size that is certain and worth a name: its expected
         log e-value is `bar` on flights with `share` of the information of these, and it is no trace
@@ -134,9 +140,9 @@ class Scores:
             v = share * whole
             certain = np.sqrt((2 * bar + np.log1p(v)) * (v + 1)) / v
             size = float(self.sigma[i]) * max(certain, np.sqrt(RULES.trace * self.readings / whole))
-            if np.isfinite(size) and size <= max(
-                self.upper[i] - self.null[i], self.null[i] - self.lower[i]
-            ):
+            size = max(size, self.least.get(self.keys[i], 0.0))
+            room = max(self.upper[i] - self.null[i], self.null[i] - self.lower[i])
+            if np.isfinite(size) and size <= room:
                 out[self.keys[i][0]] = size
         return out
 
@@ -246,6 +252,7 @@ def scored(flights: Flights, at: Fitted) -> Scores:
         places={n: tuple(place[i] for i in rows) for n, rows in mine.items()},
         absent=tuple(absent),
         readings=sum(int(np.count_nonzero(r.mask)) for r in problem.records),
+        least=problem.thresholds,
         unscored=tuple(unscored),
     )
 

@@ -185,11 +185,11 @@ class Search:
     def _starts(self, at: Fitted, p: Proposal) -> list[Mapping[Key, float]]:
         if not p.start:
             return [at.known]
-        null = self.flights.causes.prior_of
+        null, begun = self.flights.causes.prior_of, self._scored(at).begun
         zero = {k: v if (own := null(k[0])) is None else own[0] for k, v in p.start.items()}
         return [
-            {**at.known, **{k: zero[k] + share * (v - zero[k]) for k, v in p.start.items()}}
-            for share in self.flights.effort.shares
+            {**at.known, **{k: begun(k, zero[k], part * (v - zero[k])) for k, v in p.start.items()}}
+            for part in self.flights.effort.shares
         ]
 
     def _leaner(self, at: Fitted, last: bool = False) -> Fitted | None:
@@ -199,7 +199,7 @@ class Search:
             added = now.structure - self.flights.causes.base
             doubted = [n for n in sorted(added) if self.doubted(now, n)]
             wanted: list[Move] = [
-                (now.structure - {n}, [_without(now, self.flights, n)])
+                (now.structure - {n}, [now.known])
                 for n in doubted
                 if self._new(now, now.structure - {n}, last)
             ]
@@ -246,13 +246,13 @@ class Search:
         """Of every name; `share` of the swaps have been asked."""
         rows, asked = list[tuple[str, tuple[str, ...]]](), list[Move]()
         for name in names:
-            left, known = at.structure - {name}, _without(at, self.flights, name)
+            left = at.structure - {name}
             rows.append((name, ()))
-            asked.append((left, [known]))
+            asked.append((left, [at.known]))
             near = [r for r in self._scored(at).instead(name) if r[0] >= RULES.stand_in]
             for _, causes, p in [r for r in near if not but & set(r[1])][: RULES.rivals]:
                 rows.append((name, causes))
-                asked.append((left | set(causes), [{**known, **p.start}, known]))
+                asked.append((left | set(causes), [self._starts(at, p)[0], at.known]))
         if names:
             self.say(f"what could stand in for {', '.join(names)}", 0.3 + 0.3 * share)
         found: dict[str, list[Rival]] = {name: [] for name in names}
@@ -325,9 +325,3 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     off = at.theta[live] - null
     here = -0.5 * float(off @ told @ off) + 0.5 * float(np.linalg.slogdet(told)[1])
     return here + float(np.log(sigma).sum())
-
-
-def _without(at: Fitted, flights: Flights, name: str) -> dict[Key, float]:
-    """What a fit found, a cause left out."""
-    gone = set(flights.causes.offered[name].parameters)
-    return {k: v for k, v in at.known.items() if k[0] not in gone}

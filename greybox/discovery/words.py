@@ -14,6 +14,7 @@ from greybox.discovery.evidence import Fitted
 from greybox.discovery.folder import WITH_LAWS
 from greybox.discovery.name import LOG10, NAMED, Name
 from greybox.estimation.result import Fit
+from greybox.model.layer import own_parameters
 from greybox.shown import Cell
 from greybox.statistics.evidence import FELT
 from greybox.validation.gap import closing, doubt
@@ -29,6 +30,7 @@ SAYS = {
     "unnamed": "something is left that no effect on offer explains",
     "nothing_missing": "nothing is missing at the power of these data",
 }
+UNLIKE = " (the flights that judge deny it: they are not like the others, as in another wind)"
 
 
 def first_line(found: Discovery) -> str:
@@ -46,7 +48,9 @@ def first_line(found: Discovery) -> str:
         : len(lawful)
     ]
     held = dict.fromkeys(u["channel"].split(".")[0] for u in found.unnamed() if not u["file"])
-    kept = ", ".join(n.name for n in found.said("not certified") if n.kept)
+    doubted = [n for n in found.said("not certified") if n.kept]
+    denied = [n for n in doubted if n.certificate.rivals.get((), 0.0) <= -found.bar]
+    kept = ", ".join(n.name + UNLIKE * (n in denied) for n in doubted)
     traces = ", ".join(n.name for n in found.said("trace") if n.kept)
     told = found.model_verdict
     rough = f"{told.sentence}. " if told and told.refused else doubt(found.gap)
@@ -56,11 +60,10 @@ def first_line(found: Discovery) -> str:
     what = f"MISSING: {'; '.join(names)}" if names else "nothing is missing that has a name"
     what += f"; in the model, not certified: {kept}" * bool(kept)
     what += f"; in the model, a trace alone: {traces}" * bool(traces)
-    what = rough + what
     if held:
-        return f"{what}; without a name: {', '.join(held)}"
+        return f"{rough}{what}; without a name: {', '.join(held)}"
     if names or kept or traces:
-        return f"{what}; nothing clear is left"
+        return f"{rough}{what}; nothing clear is left"
     least = list(found.minimum_detectable.items())[:3]
     seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
     return (
@@ -157,13 +160,15 @@ def stays(name: Name, moved: Sequence[str]) -> Name:
 
 
 def moved_names(names: Sequence[Name], whole: Fit, bare: Fitted) -> list[str]:
-    """Numbers of names that are elsewhere in the structure `bare` than in the `whole`, beyond
-    their errors."""
-    said, known = {n.name for n in names if n.status in NAMED}, bare.known
+    """Numbers of the craft and of names that are elsewhere in the structure `bare` than in the
+    `whole`, beyond their errors."""
+    gone = {n.name for n in names if n.status not in NAMED and not n.kept}
+    own, known = own_parameters(whole.model.dynamics), bare.known
     return [
         n
         for n, e in whole.parameters.items()
-        if n.split(".")[0] in said and abs(known.get((n, None), e.value) - e.value) > FELT * e.std
+        if n in own and n.split(".")[0] not in gone
+        if abs(known.get((n, None), e.value) - e.value) > FELT * e.std
     ]
 
 

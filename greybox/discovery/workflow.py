@@ -296,7 +296,8 @@ class _Run:
         if full := search.crowded_out(at):
             more_said = f"{', '.join(full)} would make the flights likelier, too: --max-effects"
             self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
-        worse = {n.name for n in names if n.kept and n.worth and n.worth.harms}
+        doubted = (n for n in names if n.kept and n.status != "trace")
+        worse = {n.name for n in doubted if n.worth and n.worth.harms}
         if left.written is not None:
             names = [held(n) for n in names]
             shorter, fewer = self._beside_laws(names, named, left.written)
@@ -382,20 +383,21 @@ class _Run:
         return self._without_traces(names, at)
 
     def _without_traces(self, names: list[Name], at: Fitted) -> Judged:
-        """The names, and the structure without causes that have none. Traces stay where what is
-        said rests on them."""
-        asked = self.options.trace
-        names = [replace(n, kept=n.kept or (asked and n.status == "trace")) for n in names]
+        """Names, and the structure without what has none but traces that numbers rest on."""
+        traces, all_stay = {n.name for n in names if n.status == "trace"}, self.options.trace
+        names = [replace(n, kept=n.kept or (all_stay and n.name in traces)) for n in names]
         gone = {n.name for n in names if n.status not in NAMED and not n.kept}
-        traces = {n.name for n in names if n.status == "trace" and not (n.worth and n.worth.harms)}
         bare = self.flights.fit(at.structure - gone, [at.known]) if gone else at
         if not traces & gone:
             return names, bare
         whole = self.flights.fit(at.structure - (gone - traces), [at.known])
         old, new = self.held_out(bare), self.held_out(whole)
-        together = None if old is None or new is None else worth(old, new, RULES.span)
+        ways = ((old, new), (new, old)) if old and new else ()
+        gain, harm = [worth(a, b, RULES.span).matters for a, b in ways] or (False, False)
         moved = moved_names(names, self.settled(whole), bare)
-        if not moved and (together is None or not together.matters):
+        if not gain and (harm or not moved):
+            less = f"without {', '.join(sorted(traces))} (traces with which errors ahead grow)"
+            self.warnings += [f"{n} is elsewhere {less}, beyond its error" for n in moved]
             return names, bare
         return [stays(n, moved) if n.name in traces & gone else n for n in names], whole
 

@@ -30,6 +30,7 @@ from greybox.estimation.prior import Prior, unknown_of
 from greybox.estimation.problem import Block, Problem
 from greybox.estimation.record import make_records
 from greybox.estimation.settling import RecordGains, Settling
+from greybox.estimation.start import Key
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter
 from greybox.symbolic import FloatArray
@@ -39,6 +40,8 @@ STEP = 1e-6
 exact sensitivities."""
 FURTHER = (0.5, 1.0, 2.0, 3.0)
 """Sizes that are tried where nothing is felt of a small difference."""
+HALVINGS = 5
+"""How often the way from a size that is not felt to one that is felt is halved."""
 FELT = 0.005
 """Share of the samples that a step must reach."""
 TRACE = 1e-3
@@ -140,7 +143,7 @@ def with_candidate_sensitivities(
         small,
         unknowns=(*small.unknowns, *added),
         predictor=Given(given=blocks),
-        thresholds=frozenset(runner.thresholds | other.thresholds),
+        thresholds=runner.thresholds | other.thresholds,
     )
     return wide, np.concatenate([theta, [u.start for u in added]])
 
@@ -217,7 +220,7 @@ class _Runner:
         process, sensor = small.noise_levels(theta)
         self.q, self.r = process**2, sensor**2
         self.names = [d.name for d in large.parameters]
-        self.thresholds: set[str] = set()
+        self.thresholds: dict[Key, float] = {}
         self.starts = [self._start(i) for i in range(len(self.records))]
         self.spreads = [self._spread(i) for i in range(len(self.records))]
         self.common = self.gains(self.parameters(None))
@@ -282,18 +285,26 @@ class _Runner:
 
     def column(self, d: Parameter, null: float, flight: str | None) -> list[_Column | None]:
         """Change of every record with one parameter (of one flight): None where the record is of
-        another flight. What is only felt of a larger step goes to `thresholds`."""
+        another flight. Where only a larger step is felt, `thresholds` gets where that begins."""
         sign = 1.0 if null + STEP * d.scale <= d.upper else -1.0
-        found: list[_Column | None] = []
-        for size in (STEP, *FURTHER):
-            h = sign * min(size * d.scale, (d.upper - null) if sign > 0 else (null - d.lower))
-            found = self._moved(d.name, null + h, h, flight)
-            there = [c for c in found if c is not None]
-            change = np.concatenate([np.abs(c.innovations) for c in there]).max(axis=1)
-            if float((change > TRACE * change.max()).mean()) > FELT:
+        most = (d.upper - null) if sign > 0 else (null - d.lower)
+
+        def moved(size: float) -> list[_Column | None]:
+            h = sign * min(size * d.scale, most)
+            return self._moved(d.name, null + h, h, flight)
+
+        found, below = moved(STEP), 0.0
+        if _felt(found):
+            return found
+        for size in FURTHER:
+            found = moved(size)
+            if _felt(found):
                 break
-        if size > STEP:
-            self.thresholds.add(d.name)
+            below = size
+        for _ in range(HALVINGS):
+            half = 0.5 * (below + size)
+            below, size = (below, half) if _felt(moved(half)) else (half, size)
+        self.thresholds[d.name, flight] = min(size * d.scale, most)
         return found
 
     def _moved(self, name: str, value: float, h: float, flight: str | None) -> list[_Column | None]:
@@ -314,3 +325,10 @@ class _Runner:
             change = (new.innovations - old.innovations) / h
             out.append(_Column(innovations=change, new=new.spread, old=old.spread, step=h))
         return out
+
+
+def _felt(found: Sequence[_Column | None]) -> bool:
+    """Whether a step reached enough samples."""
+    there = [np.abs(c.innovations) for c in found if c is not None]
+    change = np.concatenate(there).max(axis=1)
+    return float((change > TRACE * change.max()).mean()) > FELT

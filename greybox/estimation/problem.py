@@ -30,6 +30,7 @@ from greybox.estimation.prior import Prior, prior_terms, unknown_of
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
 from greybox.estimation.settling import start_sigma
 from greybox.estimation.solver import IndexArray, Value
+from greybox.estimation.start import Key
 from greybox.estimation.unknown import SearchSpace, Unknown
 from greybox.model.dynamics import Dynamics
 from greybox.model.given_values import demand_given
@@ -49,9 +50,9 @@ class Problem(SearchSpace):
     `dataclasses.replace` makes another.
 
     `base` (n_p) are the values of all model parameters where they are not unknowns, `process_level`
-    (n_w) and `sensor_level` (n_e) the noise levels where they are not. `thresholds` are parameters
-    that are felt of a larger step only (greybox.estimation.differences). `spreads` (n_d) per record
-    are the standard deviations of the initial errors that the predictor's filter carries, zero
+    (n_w) and `sensor_level` (n_e) the noise levels where they are not. `thresholds` are steps of
+    parameters of which nothing smaller is felt (greybox.estimation.differences). `spreads` (n_d) per
+    record are the standard deviations of the initial errors that the predictor's filter carries, zero
     where they are unknowns; None: its filter runs as if it always had.
     """
 
@@ -67,7 +68,7 @@ class Problem(SearchSpace):
     dt: float
     means: Mapping[str, float]
     flights: tuple[str, ...]
-    thresholds: frozenset[str] = frozenset()
+    thresholds: Mapping[Key, float] = field(default_factory=dict)
     spreads: tuple[FloatArray, ...] | None = None
     _prepared: dict[Predictor[object], object] = field(init=False, repr=False, default_factory=dict)
     _best: list[tuple[bytes, Value]] = field(init=False, repr=False, default_factory=list)

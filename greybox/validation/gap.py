@@ -68,6 +68,7 @@ class GapDocument(TypedDict):
     with_proposals: NotRequired[float | None]
     attainable: NotRequired[float | None]
     filtered: NotRequired[float | None]
+    opened: NotRequired[bool]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +77,7 @@ class GapRow:
     share closed (None where there was no gap) and its 95 % interval; the share that the proposed
     laws close together with the names, and the share that a learned part closes without a name (the
     attainable line). `filtered`: RMSE after, where force and torque without a name fade from what
-    the filter sees."""
+    the filter sees. `opened`: whether what was at the floor is clearly beyond it now."""
 
     group: str
     unit: str
@@ -89,11 +90,12 @@ class GapRow:
     with_proposals: float | None = None
     attainable: float | None = None
     filtered: float | None = None
+    opened: bool = False
 
     @property
     def worse(self) -> bool:
         """Whether it clearly got worse."""
-        return self.ci95 is not None and self.ci95[1] < 0
+        return self.opened or (self.ci95 is not None and self.ci95[1] < 0)
 
     @property
     def opposed(self) -> bool:
@@ -119,6 +121,7 @@ class GapRow:
             "with_proposals": self.with_proposals,
             "attainable": self.attainable,
             "filtered": self.filtered,
+            "opened": self.opened,
         }
 
 
@@ -146,15 +149,19 @@ def closing(rows: Iterable[GapRow]) -> list[str]:
     out = []
     for r in rows:
         own = r.group not in GROUPS
-        if r.closed is None or (r.horizon_s == 0 if own else r.horizon_s not in (0.1, 0.5)):
+        untold = r.closed is None and not r.opened
+        if untold or (r.horizon_s == 0 if own else r.horizon_s not in (0.1, 0.5)):
+            continue
+        errors = f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit}"
+        if r.closed is None:
+            out.append(f"{errors} (it was at the floor: worse)")
             continue
         laws = r.with_proposals
         more = (
             "" if laws is None else f"; with the laws: {closed_in_words(laws, r.before, r.floor)}"
         )
         out.append(
-            f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
-            f"(of the gap closed: {closed_in_words(r.closed, r.before, r.floor)}{more})"
+            f"{errors} (of the gap closed: {closed_in_words(r.closed, r.before, r.floor)}{more})"
         )
     return out
 
@@ -481,9 +488,21 @@ def gap(
                 with_proposals=others[0],
                 attainable=others[1],
                 filtered=_rmse(filtered, key),
+                opened=closed is None and _opened(sums, base, draws, seed),
             )
         )
     return out
+
+
+def _opened(sums: Sequence[FloatArray], floor: float | None, draws: int, seed: int) -> bool:
+    """Whether errors that were at the floor are beyond it now, and clearly grew: (sum, number) of
+    their squares per block, before and after."""
+    if floor is None or _mean(sums[1]) <= NOTHING * floor:
+        return False
+    rng, n = np.random.default_rng(seed), len(sums[0])
+    picks = [rng.integers(0, n, n) for _ in range(draws)]
+    grown = [_mean(sums[1][pick]) - _mean(sums[0][pick]) for pick in picks]
+    return bool(grown) and bool(np.quantile(grown, 0.025) > 0)
 
 
 def _rmse(squares: Squares | None, key: tuple[str, float]) -> float | None:

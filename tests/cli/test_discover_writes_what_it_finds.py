@@ -20,11 +20,11 @@ import greybox.discovery.cause
 import greybox.discovery.workflow
 from greybox.cli import main
 from greybox.commands.flight_logs import read_flight_logs
-from greybox.discovery.folder import set_aside
 from greybox.estimation.record import sample_time
 from greybox.examples import flight_path, vehicle_path
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
+from greybox.files import set_aside
 from greybox.model.effects_file import load_effects
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import read_vehicle

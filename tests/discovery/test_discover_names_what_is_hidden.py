@@ -193,7 +193,13 @@ def test_further_flights_of_coloured_sensors_multiply_the_evidence_too(short: No
     assert "coloured.gyro" in {p.name for p in sensor_parts(found.model.dynamics)}
     content = valid(found)
     (before,) = content["effects"]
-    (after,) = further(content, found.model, lasting(21, name="more"))["effects"]
+    content["line"] = f"NOT USABLE: a reason. {content['line']}"
+    more = further(content, found.model, lasting(21, name="more"))
+    again = further(more, found.model, lasting(22, name="again"))
+    for later in (more, again):  # what the search had said of its model holds
+        assert later["line"].startswith("MISSING: rotational_damping (log10 e ")
+        assert later["line"].endswith(f"). Before: {content['line']}")
+    (after,) = more["effects"]
     assert after["status"] == "certified"
     assert after["further"] > 1.0
     assert after["log10_e"] == pytest.approx(before["log10_e"] + after["further"])

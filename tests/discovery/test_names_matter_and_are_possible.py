@@ -147,6 +147,20 @@ def test_flights_that_proposed_keep_a_cause_in_the_model_and_name_none(odd: str,
         assert "that a name needs" in name.reason
 
 
+@pytest.mark.parametrize(("e", "said"), [(-2.0, False), (-20.0, True)])
+def test_flights_that_judge_and_deny_what_all_together_ask_for_are_not_like_the_others(
+    e: float, said: bool
+):
+    """A test flight in wind denied the drag of calm ones by log10 e 89; "nothing clear is left"."""
+    whole = {(): Whole(odds=9.0, log_e=9.0, judge=0.5)}
+    better = worth(foresight(1.0), foresight(0.5), RULES.span)
+    name = judged(replace(certificate(nothing=e), whole=whole), better, "", BAR, ALPHA)
+    found = Discovery(
+        verdict="nothing_missing", names=(name,), bar=BAR, omega_known=True, seconds=0.0
+    )
+    assert ("they are not like the others" in found.line) is said
+
+
 def test_next_to_a_law_only_an_e_value_holds():
     better = worth(foresight(1.0), foresight(0.2), RULES.span)
     name = judged(certificate(nothing=2.0), better, "", 3.0, ALPHA)

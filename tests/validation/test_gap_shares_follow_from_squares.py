@@ -10,6 +10,7 @@ import pytest
 from greybox.validation.gap import (
     HeldOutErrors,
     Squares,
+    closing,
     doubt,
     gap,
     groups_of,
@@ -55,6 +56,15 @@ def test_there_is_no_gap_to_close_next_to_the_floor(before: float, judged: bool)
     row = gap((blocks(before), blocks(1.0)), (blocks(1.0), blocks(1.0)))[0]
     assert (row.closed is not None) == judged
     assert (row.ci95 is not None) == judged
+
+
+@pytest.mark.parametrize(("after", "opened"), [(1.15, False), (1.3, True)])
+def test_what_was_at_the_floor_and_is_beyond_it_now_is_said(after: float, opened: bool):
+    """A test flight in wind took the drag of calm ones: 64 -> 116 mm, and nothing was said."""
+    row = gap((blocks(1.1), blocks(1.0)), (blocks(after), blocks(1.0)))[0]
+    assert row.opened is row.worse is opened
+    assert any("it was at the floor: worse" in line for line in closing([row])) is opened
+    assert bool(worsened([row])) is opened
 
 
 def test_without_an_imu_the_floor_is_unknown_and_counts_as_zero():

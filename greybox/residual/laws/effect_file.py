@@ -17,6 +17,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Protocol
 
+from greybox.files import set_aside
 from greybox.model.effect import Effect
 from greybox.model.effects_file import load_effects
 from greybox.residual.laws.terms import Memory, Shaped
@@ -246,3 +247,11 @@ def proposed(laws: Sequence[Law], taken: Collection[str] = ()) -> tuple[Effect, 
             path.write_text(proposal_text(law, number, taken), encoding="utf-8")
             out += load_effects(path)
     return tuple(out)
+
+
+def set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
+    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name
+    -> text)."""
+    for old in out.glob("proposal_*.py"):
+        if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
+            set_aside(old)
