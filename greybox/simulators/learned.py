@@ -15,7 +15,7 @@ from greybox.model.layer import LearnedPush, learned_push_of
 from greybox.model.model import PhysicsModel
 from greybox.residual.hybrid import HybridModel
 from greybox.simulators.craft import Craft
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import Expr, FloatArray, evaluate
 
 ROWS = ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z")
 
@@ -25,6 +25,7 @@ def has_learned(craft: Craft) -> bool:
     return learned_push_of(craft.source.dynamics) is not None
 
 
+@lru_cache(maxsize=16)
 def with_learned(craft: Craft) -> PhysicsModel | LearnedPush:
     """The craft's physics under what was learned beside it; the physics alone where nothing
     was."""
@@ -62,9 +63,7 @@ def learned_at(craft: Craft, states: FloatArray, inputs: FloatArray) -> FloatArr
     if not isinstance(hybrid, HybridModel):
         return np.zeros((6, states.shape[1]))
     function, length = _function(hybrid), sum(hybrid.window) + 1
-    columns = zip(states.T, inputs.T, strict=True)
-    found = [function(x, np.repeat(u[:, None], length, axis=1)) for x, u in columns]
-    return np.hstack([np.asarray(v, dtype=float) for v in found])
+    return evaluate(function, states.T, np.tile(inputs.T, (1, length))).T
 
 
 def learned_wrench(craft: Craft, blocks: dict[str, Expr], nu: Expr) -> Expr | None:
