@@ -301,7 +301,7 @@ class _Runner:
             if _felt(found):
                 break
             below = size
-        for _ in range(HALVINGS):
+        for _ in range(HALVINGS if below < size else 0):
             half = 0.5 * (below + size)
             below, size = (below, half) if _felt(moved(half)) else (half, size)
         self.thresholds[d.name, flight] = min(size * d.scale, most)
