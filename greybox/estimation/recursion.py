@@ -362,10 +362,10 @@ class Interpreted:
         """Sample t of the runs `live` (m,), whose innovations go `into` (m,) these rows, -1 for
         nowhere; whether they are finite after it."""
         rows, m, keep = runs.first[live] + t, live.size, into >= 0
-        width, na = np.arange(self.sizes.window), len(self.columns)
+        na = len(self.columns)
         at = (
             runs.x[live].T,
-            runs.u[rows[:, None] + width].transpose(2, 0, 1).reshape(-1, m * width.size),
+            self._inputs(runs.u, rows),
             runs.y[rows].T,
             np.repeat(runs.p[:, None], m, axis=1),
             np.full((1, m), runs.dt),
@@ -390,15 +390,22 @@ class Interpreted:
     def rollout(self, runs: Rollout) -> None:
         """As `Recursion` says."""
         m, horizon = runs.y.shape[:2]
-        step, x, width = mapped(self.pred, m), runs.starts.T, self.sizes.window
+        step, x = mapped(self.pred, m), runs.starts.T
         for h in range(horizon):
-            windows = np.concatenate([runs.u[k + h : k + h + width].T for k in runs.rows], axis=1)
             p, dt = np.repeat(runs.p[:, None], m, 1), np.full((1, m), runs.dt)
-            after, yh = step(x, windows, p, dt)
+            after, yh = step(x, self._inputs(runs.u, runs.rows + h), p, dt)
             runs.y[:, h] = yh.full().T
             if runs.states is not None:
                 runs.states[:, h] = np.asarray(x).T
             x = after.full()
+
+    def _inputs(self, u: FloatArray, rows: IntArray | Rows) -> FloatArray:
+        """What the window sees at these rows (m,) of a record, beside each other: (n_u, m times its
+        width)."""
+        seen = u[rows[:, None] + np.arange(self.sizes.window)]
+        return np.asarray(
+            seen.transpose(2, 0, 1).reshape(u.shape[1], len(rows) * self.sizes.window)
+        )
 
 
 def _ptr(array: npt.NDArray[np.generic] | None) -> Pointer:
