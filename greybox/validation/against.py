@@ -1,11 +1,10 @@
 """Against: a model beside the one that it was made of, on the same instants of the same flights.
 
-What differs counts where it is more than chance and worth something: more than a trace, and in
-squares more than the error of a single reading there, as a name has to remove (worth.py). Errors
-one sample ahead are the sensor's own, and any share of them is next to nothing. Chance is judged as
-in
-`greybox.validation.comparison`, by blocks of consecutive origins, with the quantile of Student for
-as many, one side, and all groups and horizons together (Bonferroni).
+What differs counts where it is more than chance and worth something: more than a trace, and one
+sample ahead, where errors are the sensor's own, in squares more than that of a single reading, as a
+name has to remove (worth.py). Chance is judged as in `greybox.validation.comparison`, by blocks of
+consecutive origins, with the quantile of Student for as many, one side, and all groups and horizons
+together (Bonferroni).
 """
 
 from __future__ import annotations
@@ -198,7 +197,7 @@ def against(
 ) -> Against:
     """How the errors of two models differ that were validated on the same flights in the same way,
     at the horizons that are listed and at that where skill is stated. `readings`: group -> mean
-    squared error of one reading of its sensor.
+    squared error of one reading of its sensor, which counts one sample ahead.
 
     Raises `DataError` where they were not, or one of them has no verdict.
     """
