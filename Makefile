@@ -1,6 +1,6 @@
 # make demo   (greybox demo) own environment, install, fit the shipped real flights, write a report, print where it is
-# make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits; either takes
-#             about a minute and a half on two idle cores once it is installed
+# make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits; once installed,
+#             either takes one and a half to four minutes on two idle cores, as these are fast or slow
 # make test   own environment, install, lint, type check, the quick tests
 # make test-long   whole commands, fits, searches and exports: the other half of what every change is held against
 # make test-slow   the long studies (hours are not needed; minutes are)
