@@ -211,6 +211,7 @@ COUNT = Kind(
     fits=lambda v: is_number(v) and int(v) == v and v > 0,
 )
 POSITIVE = Kind(words="a number above zero", fits=lambda v: is_number(v) and v > 0)
+NOT_NEGATIVE = Kind(words="a number, zero or above", fits=lambda v: is_number(v) and v >= 0)
 SHARE = Kind(words="a number between 0 and 1", fits=lambda v: is_number(v) and 0 < v < 1)
 
 

@@ -56,7 +56,7 @@ PAGES = {
     "learn": Page(
         "greybox.cli learn fit/model.json --train B2_circle_fast_rep1.csv.gz "
         "B3_figure8_slow_rep1.csv.gz "
-        "--test B3_figure8_fast_rep1.csv.gz --adapt 5 --out learn",
+        "--test B3_figure8_fast_rep1.csv.gz --out learn",
         "learn/report.html",
         "",
     ),

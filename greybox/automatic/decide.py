@@ -61,13 +61,12 @@ from greybox.model.noise.low_pass import FILTERED
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.distributions import chi_square_tail
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
+from greybox.validation.adapt import SECONDS
 
 CLEAR = 0.01
 """Probability below which flights count as different in their thrust scale (chi-square test)."""
 NOTICEABLE = 0.005
 """... and the spread between them that matters: half a percent of thrust."""
-ADAPT = 5.0
-"""Seconds of a new flight from which its own parameters are taken."""
 REFINE = LevenbergMarquardt(tolerance=0.2, max_iterations=4)
 """... where one more parameter is tried at an optimum: two steps take it there."""
 DIGITS = 3
@@ -193,11 +192,11 @@ def _adapt(setting: Setting, note: Note, recipe: Recipe) -> float | None:
         return None
     note(
         "a new flight",
-        f"adapts on its first {ADAPT:g} s",
+        f"adapts on its first {SECONDS:g} s",
         f"{len(own)} parameters have one value per flight; of a test flight at most a third",
         "--adapt",
     )
-    return ADAPT
+    return SECONDS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

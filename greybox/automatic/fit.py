@@ -8,7 +8,6 @@ fails falls back to less, and says so.
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -42,32 +41,17 @@ from greybox.model.model import build_model
 from greybox.model.noise import part_named
 from greybox.model.noise_free import REASON, NoiseAdded, said_of_added, with_sensor_noise
 from greybox.model.vehicle import Vehicle
+from greybox.validation.adapt import adaptation
 from greybox.validation.calibration import calibrated
-from greybox.validation.horizon import REQUIRED
 from greybox.validation.sanity import sanity_of
 
-LEFT_TO_JUDGE = 3.0
-"""Times the seconds of adaptation that a test flight lasts at least: two thirds of it judge."""
-LEFT_STEPS = 2.0
-"""Times the steps ahead that a verdict needs, which must be left after it."""
 
-
-def adaptation(recipe: Recipe, test: Dataset, asked: float | None = None) -> float | None:
-    """Seconds at the start of `test` flights to adapt on: what was `asked`, else the recipe's own
-    time, of a shorter flight a third; None where too little would be left to judge, or nothing is
-    to be adapted.
-
-    Of a short flight the beginning is worth as much as of a long one: judged without it, a flight
-    whose gyro has another offset than those that were fitted looks like wrong torques.
-    """
-    if asked is not None:
-        return float(asked)
-    if recipe.adapt is None or not test.flights:
-        return None
-    shortest = min(f.duration for f in test)
-    found = min(recipe.adapt, math.floor(10.0 * shortest / LEFT_TO_JUDGE) / 10.0)
-    judged = (shortest - found) / sample_time(test)
-    return found if found > 0.0 and judged > LEFT_STEPS * REQUIRED else None
+def adaptation_of(recipe: Recipe, test: Dataset, asked: float | None = None) -> float | None:
+    """Seconds at the start of `test` flights to adapt on: what was `asked` (0: none), else the
+    recipe's own, of a shorter flight a third; None where it has none, and the model tells."""
+    if asked is not None or recipe.adapt is None:
+        return asked
+    return adaptation(test, recipe.adapt)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from greybox.automatic.fit import Prepared, adaptation, on_pieces
+from greybox.automatic.fit import Prepared, adaptation_of, on_pieces
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport
 from greybox.estimation.recipe import Recipe
@@ -44,7 +44,7 @@ def judged(
     if pieces is not None:
         beside = validate(*pieces, **ahead, hints=hints, judged_on=LEFT_OUT)
     if test.flights:
-        seconds = adaptation(recipe, test, adapt)
+        seconds = adaptation_of(recipe, test, adapt)
         seen = validate(found.model, test, **ahead, adapt=seconds, hints=hints)
     elif beside is not None:
         seen = beside

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -37,6 +37,7 @@ from greybox.linear.records import Record, split_at_missing
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray, IntArray, Signal
+from greybox.validation.adapt import adaptation
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import REQUIRED, HorizonAccumulator, spread_origins
@@ -121,6 +122,9 @@ class Bench:
     fitted: bool = False
 
     def __post_init__(self) -> None:
+        asked = self.options.adapt
+        seconds = adaptation(self.test) if asked is None else asked
+        self.options = replace(self.options, adapt=seconds or None)
         there = set(self.train.channels) & set(self.test.channels)
         self.outputs = tuple(n for n in IMU if n in there)
         self.commands = drive_names(self.train.channels, self.vehicle.n_rotors)

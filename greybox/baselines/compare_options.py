@@ -24,7 +24,8 @@ class CompareOptions:
     """All choices of a comparison."""
 
     adapt: float | None = None
-    """Seconds at the start of a test flight on which what belongs to a flight is fitted."""
+    """Seconds at the start of a test flight on which what belongs to a flight is fitted (None: 5, at
+    most a third; 0: not)."""
     budget: int = 4
     """Candidates of every method that is tuned."""
     points: int = 50

@@ -69,10 +69,10 @@ def recipe_of(job: Job, result: Fit) -> Recipe:
 
 def _explicit(job: Job, result: Fit) -> str:
     """The explicit command line: every choice is said, flights that were left out are not named."""
-    from greybox.automatic.fit import adaptation
+    from greybox.automatic.fit import adaptation_of
 
     arguments, prepared, recipe = job.arguments, job.prepared, recipe_of(job, result)
-    recipe = replace(recipe, adapt=adaptation(recipe, job.test, arguments.adapt))
+    recipe = replace(recipe, adapt=adaptation_of(recipe, job.test, arguments.adapt) or None)
     out = {f.flight for f in prepared.left_out}
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)

@@ -40,7 +40,8 @@ def adapt_option(p: Options) -> None:
         type=float,
         default=None,
         metavar="S",
-        help="fit per-flight parameters on the first S seconds of each flight",
+        help="fit per-flight parameters on the first S seconds of each flight that judges (default: "
+        "5, at most a third; 0: not)",
     )
 
 
@@ -48,9 +49,9 @@ def demand_adapt(arguments: argparse.Namespace) -> None:
     """Raise `DataError` for an --adapt that is no time."""
     from greybox.errors import DataError
 
-    if arguments.adapt is not None and not arguments.adapt > 0:
+    if arguments.adapt is not None and not 0 <= arguments.adapt < math.inf:
         raise DataError(
-            "--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5"
+            "--adapt takes a time, zero or above", got=f"{arguments.adapt:g} s", fix="--adapt 5"
         )
 
 

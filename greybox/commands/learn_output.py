@@ -63,7 +63,7 @@ def run_output(arguments: argparse.Namespace) -> int:
         features=feature_names(arguments.inputs),
         kernel=arguments.kernel,
         points=arguments.points if arguments.points == "auto" else int(arguments.points),
-        adapt=arguments.adapt,
+        adapt=arguments.adapt or None,
         learner=arguments.learner,
         seed=arguments.seed,
         guard=arguments.guard,

@@ -1,8 +1,7 @@
 """Evidence: how likely flights are under a structure, its parameters integrated over their priors.
 
 Laplace's approximation (greybox/estimation/laplace.py). Parameters of a cause have the prior that
-it declares, core parameters that of the vehicle file, the start of every flight that of its first
-readings.
+it declares, core parameters that of the vehicle file, starts of flights that of first readings.
 """
 
 from __future__ import annotations

@@ -85,8 +85,7 @@ def judged(
     alone: float | None = None,
 ) -> Name:
     """The status of one cause: `bar` is the log e-value that certifies it among all that were
-    offered, `alone` (the same where not given) if no other had one, `impossible` says why it can be
-    none."""
+    offered, `alone` (else the same) if no other had one, `impossible` says why it can be none."""
     alone = bar if alone is None else alone
     e, whole = certificate.rivals, certificate.whole
     alike, unlikely = certificate.unbeaten(bar, alpha)

@@ -42,7 +42,7 @@ class DiscoverOptions:
     max_effects: int = 12
     """Causes besides those of the base after which the search stops."""
     adapt: float | None = None
-    """Seconds at the beginning of a test flight that its per-flight parameters are fitted on."""
+    """Seconds of a test flight to fit its own values on (None: 5, at most a third; 0: none)."""
     kinematic_noise: bool | None = None
     """Noise between attitude and gyro (None: where their clocks drift apart)."""
     per_flight: tuple[str, ...] = ()

@@ -60,6 +60,7 @@ from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
 from greybox.takes import FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
+from greybox.validation.adapt import adaptation
 from greybox.validation.advice import Hint, Symptom
 from greybox.validation.gap import (
     GapRow,
@@ -122,6 +123,8 @@ def discover(
         demand_long_enough(train)
         train, tested, doubts = as_measured(train, tested, vehicle)
         options = _with_noise_of_clocks(options, faults)
+        if options.adapt is None:
+            options = options.but(adapt=adaptation(tested or ()))
     settings: SearchSettings = {**settings_of(options), "sample_time": sample_time(train)}
     say = onward(progress or (lambda _text, _share: None))
     run = _Run(
@@ -146,8 +149,7 @@ def discover(
 
 
 def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> DiscoverOptions:
-    """With noise between attitude and gyro, where that is open, as in the automatic fit or in what
-    changed since."""
+    """With noise between attitude and gyro, where that is open, as in the automatic fit or before."""
     if options.kinematic_noise is not None:
         return options
     old = None if options.since is None else options.since.physics.kinematic_noise
@@ -348,7 +350,7 @@ class _Run:
         return self._held_out[at]
 
     def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
-        return predict_ahead(model, self.judges, adapt=self.options.adapt, unnamed=unnamed)
+        return predict_ahead(model, self.judges, adapt=self.options.adapt or 0.0, unnamed=unnamed)
 
     def _judged(self, found: Fit) -> Fit:
         """With the verdict of the flights that judge, where they can tell."""

@@ -8,7 +8,8 @@ levels fixed, the training flights' mean and spread as prior of each per-flight 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypedDict, final
 
@@ -27,7 +28,14 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.unknown import Unknown
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+from greybox.validation.horizon import REQUIRED
 
+SECONDS = 5.0
+"""Seconds [s] at the beginning of a flight that its own values are taken from."""
+LEFT_TO_JUDGE = 3.0
+"""Times the seconds of adaptation that a flight lasts at least: two thirds of it judge."""
+LEFT_STEPS = 2.0
+"""Times the steps ahead that a verdict needs, which must be left after it."""
 KNOWN = 1e-3
 """Share of a start's spread that is left where the filter itself knows no more than that."""
 
@@ -80,6 +88,27 @@ class FixedGain(StationaryGain[None]):
     def gains(self, problem: Problem, theta: FloatArray, slopes: bool) -> list[RecordGains]:
         """The given solution for every record."""
         return [held(self.solution, r) for r in problem.records]
+
+
+def adaptation(flights: Iterable[Flight], most: float = SECONDS) -> float:
+    """Seconds [s] at the start of `flights` to adapt on: `most`, of a shorter flight a third; 0
+    where too little would be left to judge, or there are none.
+
+    Of a short flight the beginning is worth as much as of a long one: judged without it, a flight
+    whose gyro has another offset than those that were fitted looks like wrong torques.
+    """
+    shortest = min(flights, key=lambda f: f.duration, default=None)
+    if shortest is None:
+        return 0.0
+    found = min(most, math.floor(10.0 * shortest.duration / LEFT_TO_JUDGE) / 10.0)
+    judged = (shortest.duration - found) / shortest.dt
+    return found if judged > LEFT_STEPS * REQUIRED else 0.0
+
+
+def strangers(model: IdentifiedModel, data: Dataset) -> list[Flight]:
+    """Flights whose own values `model` does not know, of a model that has such values."""
+    varies = any(spread > 0 for _, spread in model.flight_spread.values())
+    return [f for f in data if varies and f.name not in model.per_flight]
 
 
 def adapt_to_flight(

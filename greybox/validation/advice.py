@@ -145,7 +145,7 @@ ADVICE: tuple[Advice, ...] = (
     Advice(
         symptom=Symptom.FLIGHT_DIFFERS,
         reason="this flight differs from those of the fit (battery, trim, range)",
-        action="--adapt 5, --per-flight thrust.c2, or fly in training what is flown here",
+        action="--per-flight thrust.c2, or fly in training what is flown here",
     ),
     Advice(
         symptom=Symptom.TURNING,

@@ -8,16 +8,17 @@ predict.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data import Flight, Segment
 from greybox.errors import DataError
 from greybox.frames import GRAVITY, numeric
 from greybox.symbolic import FloatArray, IntArray
-from greybox.validation.groups import error_vectors
+from greybox.validation.groups import GROUPS, error_vectors
 from greybox.validation.samples import columns, complete_rows
 
 
@@ -230,6 +231,49 @@ def _world_acceleration(force: FloatArray, attitude: FloatArray, gravity: float)
     for axis in range(3):
         out[:, axis] = np.interp(index, index[seen], turned[:, axis])
     return out
+
+
+def has_groups(channels: Iterable[str], *groups: str) -> bool:
+    """Whether all columns of the groups are among `channels`."""
+    return set(channels).issuperset(c for g in groups for c in GROUPS[g].columns)
+
+
+def group_matrix(segment: Segment, group: str) -> FloatArray:
+    """Values (N, dimension) of a group; NaN where not measured, and everywhere where a column is
+    absent."""
+    return segment.matrix(GROUPS[group].columns, missing_ok=True)
+
+
+def imu_record(segment: Segment) -> ImuRecord:
+    """The measured IMU of a segment."""
+    return ImuRecord.of(
+        group_matrix(segment, "rate"),
+        group_matrix(segment, "specific_force"),
+        sample_time=segment.dt,
+    )
+
+
+def bias_at_start(flight: Flight, seconds: float, gravity: float) -> ImuBias:
+    """Biases that the first `seconds` of a flight show; none without an IMU and an attitude, or 0 s.
+
+    Raises `DataError` for a window that is too short.
+    """
+    if not seconds or not has_groups(flight.channels, "rate", "specific_force", "rotation"):
+        return ImuBias.zero()
+    begin = float(flight.segments[0].t[0])
+    window = flight.segments[0].between(begin, begin + seconds - 1e-9)
+    moved = {
+        g: group_matrix(window, g)
+        for g in ("velocity", "position")
+        if has_groups(flight.channels, g)
+    }
+    return estimate_imu_bias(
+        imu_record(window),
+        attitude=group_matrix(window, "rotation"),
+        velocity=moved.get("velocity"),
+        position=moved.get("position"),
+        gravity=gravity,
+    )
 
 
 def estimate_imu_bias(

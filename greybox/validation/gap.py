@@ -10,6 +10,7 @@ Kunsch 1989, Annals of Statistics 17(3)).
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +28,7 @@ from greybox.model.noise import sensor_parts
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import adapt_to_flight
-from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning
+from greybox.validation.baselines import ImuBias, ImuRecord, bias_at_start, dead_reckoning
 from greybox.validation.groups import GROUPS, Groups, error_norms
 from greybox.validation.horizon import strided
 from greybox.validation.open_loop import GroupReader, predict_from
@@ -270,10 +271,10 @@ def unknown_start(model: IdentifiedModel) -> bool:
 
 
 def predict_ahead(
-    model: IdentifiedModel, data: Dataset, *, adapt: float | None = None, unnamed: bool = False
+    model: IdentifiedModel, data: Dataset, *, adapt: float = 0.0, unnamed: bool = False
 ) -> HeldOutErrors:
     """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on
-    the first `adapt` s.
+    the first `adapt` s (0: not).
 
     Physics alone foretells: force and torque that nobody named are zero from every origin on, or
     (`unnamed`) fade from what the filter sees there. Where
@@ -292,9 +293,9 @@ def predict_ahead(
     states = model.dynamics.states.names
     silent = [i for i, n in enumerate(states) if n.startswith("disturbance.") and not unnamed]
     for flight in data:
-        p = _adapted(model, flight, adapt, runner)
+        p, bias = _adapted(model, flight, adapt, runner), _imu_bias(model, flight, adapt)
         # The same seconds are judged whether this model has something to adapt or not.
-        begin = float(flight.segments[0].t[0]) + (adapt or 0.0)
+        begin = float(flight.segments[0].t[0]) + adapt
         for segment in flight.segments:
             # What was commanded before a segment is not known, nor is its state.
             known = max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0))
@@ -314,7 +315,7 @@ def predict_ahead(
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
             block = np.asarray((segment.t[origins] - segment.t[0]) // second, dtype=int)
             _collect(own, predicted, references, origins, steps, block, reader.table)
-            dead = _floor(model, segment, filtered, reader, origins, longest, references)
+            dead = _floor(model, segment, filtered, reader, origins, longest, references, bias)
             if dead is not None:
                 _collect(floor, dead, references, origins, steps, block, reader.table)
     if not any(own.values()):
@@ -330,14 +331,19 @@ def predict_ahead(
     )
 
 
-def _adapted(
-    model: IdentifiedModel, flight: Flight, adapt: float | None, runner: Filter
-) -> FloatArray:
+def _adapted(model: IdentifiedModel, flight: Flight, adapt: float, runner: Filter) -> FloatArray:
     """p of a flight, with what differs from flight to flight adapted on its first `adapt` s."""
-    if adapt is None or not model.flight_spread:
+    if not adapt or not model.flight_spread:
         return model.flight_vector(flight.name)
     found = adapt_to_flight(model, flight, adapt, riccati=runner.riccati)
     return model.parameter_vector(found.values)
+
+
+def _imu_bias(model: IdentifiedModel, flight: Flight, seconds: float) -> ImuBias:
+    with contextlib.suppress(DataError):
+        if (physics := physics_of(model.dynamics)) is not None:
+            return bias_at_start(flight, seconds, float(physics.vehicle.gravity))
+    return ImuBias.zero()
 
 
 def readings(model: IdentifiedModel) -> dict[str, float]:
@@ -403,6 +409,7 @@ def _floor(
     origins: IntArray,
     steps: int,
     references: dict[str, FloatArray],
+    bias: ImuBias,
 ) -> dict[str, FloatArray] | None:
     imu = [c for g in ("rate", "specific_force") for c in GROUPS[g].columns]
     there = all(c in segment.channels for c in imu) and "rotation" in references
@@ -430,7 +437,7 @@ def _floor(
         velocity=own.get("velocity"),
         position=start["position"],
         steps=steps,
-        bias=ImuBias.zero(),
+        bias=bias,
         gravity=gravity,
     )
 

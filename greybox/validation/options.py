@@ -40,7 +40,8 @@ class ValidateOptions:
     """The same in numbers of samples, instead."""
     adapt: float | None = None
     """Seconds at the beginning of a flight that its per-flight parameters and its initial state are
-    fitted on; None: not at all."""
+    fitted on (0: not at all); None: on `adaptation` of those flights whose own values the model has
+    and does not know."""
     measured_start: bool = False
     """Whether a row starts from the measured state, smoothed velocities included."""
     every: int | None = None

@@ -10,7 +10,7 @@ rows beside each table are persistence (ceiling) and dead reckoning (floor).
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Unpack
 
@@ -31,18 +31,24 @@ from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
 from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
-from greybox.takes import COUNT, FLIGHTS, MODEL, NUMBERS, POSITIVE, takes
-from greybox.validation.adapt import Adaptation, adapt_to_flight
+from greybox.takes import COUNT, FLIGHTS, MODEL, NOT_NEGATIVE, NUMBERS, takes
+from greybox.validation.adapt import (
+    SECONDS,
+    Adaptation,
+    adapt_to_flight,
+    adaptation,
+    strangers,
+)
 from greybox.validation.advice import Hint, Symptom, hints_of_model, impossible, lacking
 from greybox.validation.baselines import (
     ImuBias,
-    ImuRecord,
+    bias_at_start,
     dead_reckoning,
-    estimate_imu_bias,
+    has_groups,
+    imu_record,
     persistence,
 )
 from greybox.validation.comparison import Standard, standard_of
-from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import (
     BLOCK_SECONDS,
     REQUIRED,
@@ -67,8 +73,6 @@ CHUNK = 200_000
 SPACING = 0.01
 """Seconds between origins unless told otherwise: every sample at 100 Hz, as the benchmark counts;
 at higher rates neighbours tell the same."""
-ADAPTED = 5.0
-"""Seconds of a flight that its own values are usually taken from."""
 STATED = 0.1
 """Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the
 same)."""
@@ -84,7 +88,7 @@ leave a third of the origins of 51 samples, 10 % none)."""
     dataset=FLIGHTS,
     horizons=NUMBERS,
     horizon_samples=NUMBERS,
-    adapt=POSITIVE,
+    adapt=NOT_NEGATIVE,
     every=COUNT,
 )
 def validate(
@@ -105,7 +109,8 @@ def validate(
     of a model that is not a vehicle's `SAMPLES`). `adapt` [s]: per flight, the parameters with a
     value per flight and the initial state are fitted on its first seconds with everything else
     fixed (prior: the training flights), then frozen; origins start after them, and dead reckoning
-    takes its IMU biases from the same seconds. `measured_start` adds the row that starts from the
+    takes its IMU biases from the same seconds (0: not; default: on the first 5 s, at most a third, of
+    flights whose own values the model lacks). `measured_start` adds the row that starts from the
     measured state, smoothed velocities included, as the benchmark does. Of every
     `every` samples (default: of `SPACING` seconds) one is an origin, `skip` seconds after the start
     of a segment at the earliest. `judged_on` says in words what the flights are to the model (default:
@@ -169,6 +174,10 @@ class _Work:
     adaptation: dict[str, Adaptation] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        new = strangers(self.model, self.dataset)
+        asked = self.options.adapt
+        self.strange = [f.name for f in new]
+        self.adapted_seconds = adaptation(new) if asked is None else float(asked)
         self.filter = Filter(self.model, use_compiler=self.options.use_compiler)
         self.reader = GroupReader(self.model)
         self.groups = self.reader.judged(self.dataset.any_channels)
@@ -223,11 +232,8 @@ class _Work:
                 fix=f"read the log with --rate {1 / dt:g}",
             )
         adapted = self._adapted(flight)
-        p = (
-            self.model.flight_vector(flight.name)
-            if adapted is None
-            else self.model.parameter_vector(adapted.values)
-        )
+        known = self.model.flight_vector(flight.name)
+        p = known if adapted is None else self.model.parameter_vector(adapted.values)
         bias = self._imu_bias(flight)
         spread = {} if adapted is None else adapted.std
         for i, segment in enumerate(flight.segments):
@@ -245,9 +251,7 @@ class _Work:
 
     def _late(self, flight: Flight, segment: Segment) -> BoolArray:
         """Samples after the seconds of adaptation and the start of the segment, (N,)."""
-        late: BoolArray = (
-            segment.t >= float(flight.segments[0].t[0]) + (self.options.adapt or 0.0) - 1e-9
-        )
+        late: BoolArray = segment.t >= float(flight.segments[0].t[0]) + self._seconds(flight) - 1e-9
         late[: max(3, round(self.options.skip / segment.dt)) - 1] = False
         return late
 
@@ -273,13 +277,18 @@ class _Work:
                     count += len(origins)
         return complete / count if count else 1.0
 
+    def _seconds(self, flight: Flight) -> float:
+        """Those at the beginning of a flight that it adapts on."""
+        new = self.options.adapt is not None or flight.name in self.strange
+        return self.adapted_seconds if new else 0.0
+
     def _adapted(self, flight: Flight) -> Adaptation | None:
-        if self.options.adapt is None:
+        if not self._seconds(flight):
             return None
         found = adapt_to_flight(
             self.model,
             flight,
-            self.options.adapt,
+            self._seconds(flight),
             riccati=self.filter.riccati,
             use_compiler=self.options.use_compiler,
         )
@@ -289,23 +298,8 @@ class _Work:
 
     def _imu_bias(self, flight: Flight) -> ImuBias:
         """Biases of dead reckoning from the adaptation seconds; none without them."""
-        if self.options.adapt is None or not _has(
-            flight.channels, "rate", "specific_force", "rotation"
-        ):
-            return ImuBias.zero()
-        begin = float(flight.segments[0].t[0])
-        window = flight.segments[0].between(begin, begin + self.options.adapt - 1e-9)
-        moved = {
-            g: _matrix(window, g) for g in ("velocity", "position") if _has(flight.channels, g)
-        }
         try:
-            return estimate_imu_bias(
-                _imu(window),
-                attitude=_matrix(window, "rotation"),
-                velocity=moved.get("velocity"),
-                position=moved.get("position"),
-                gravity=self._gravity,
-            )
+            return bias_at_start(flight, self._seconds(flight), self._gravity)
         except DataError as error:
             self.warnings.append(f"{flight.name}: dead reckoning without IMU biases ({error})")
             return ImuBias.zero()
@@ -362,7 +356,7 @@ class _Work:
                 part,
             )
             posed = "rotation" in references and not self.reader.table["rotation"].own
-            if posed and _has(segment.names, "rate", "specific_force"):
+            if posed and has_groups(segment.names, "rate", "specific_force"):
                 floor = self._dead_reckoning(segment, filtered, references, part, bias)
                 self._row("dead reckoning", name, floor, references, part)
 
@@ -394,7 +388,7 @@ class _Work:
         assert attitude is not None
         attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
         return dead_reckoning(
-            _imu(segment),
+            imu_record(segment),
             origins,
             attitude=attitude,
             velocity=start("velocity"),
@@ -474,7 +468,7 @@ class _Work:
                 self.warnings.append(
                     f"{own.diverged} open-loop predictions were not finite: their error is infinite"
                 )
-        if self.options.adapt is None:
+        if not self.adapted_seconds:
             self.warnings += self._own_values_unknown()
         verdict = None
         if own is not None and held is not None:
@@ -495,7 +489,7 @@ class _Work:
             whiteness=whiteness,
             cross_correlation=cross,
             coverage=self.one_step.coverage(),
-            adapted_seconds=self.options.adapt,
+            adapted_seconds=self.adapted_seconds or None,
             adaptation=self.adaptation,
             warnings=tuple(self.warnings),
             verdict=verdict,
@@ -504,14 +498,13 @@ class _Work:
     def _own_values_unknown(self) -> list[str]:
         """That stated regions leave out what flights have of their own, where it is not known. The
         filter errs by it from the start, which no propagation ahead holds."""
-        strangers = [f.name for f in self.dataset if f.name not in self.model.per_flight]
         own = [n for n, (_, s) in self.model.flight_spread.items() if s > 0]
-        if not strangers or not own:
+        if not self.strange:
             return []
         parts = ", ".join(dict.fromkeys(n.split(".")[0] for n in own))
         return [
-            f"95 % regions do not hold on {', '.join(strangers)} without --adapt {ADAPTED:g} (adapt="
-            f"{ADAPTED:g}): {parts} of a flight are taken as the training flights' mean, and as "
+            f"95 % regions do not hold on {', '.join(self.strange)} without --adapt {SECONDS:g} "
+            f"(adapt={SECONDS:g}): {parts} of a flight are taken as the training flights' mean, and as "
             "exact"
         ]
 
@@ -544,8 +537,8 @@ class _Work:
         hints = [*hints_of_model(self.model), *self.options.hints]
         # Offsets of sensors differ from flight to flight too, but spoil no model by much.
         own_values = [n for n in self.model.flight_spread if "_bias." not in n]
-        long = max((f.duration for f in self.dataset), default=0.0) > ADAPTED
-        if self.options.adapt is None and own_values and long and self.judged_on == TEST_FLIGHTS:
+        long = max((f.duration for f in self.dataset), default=0.0) > SECONDS
+        if not self.adapted_seconds and own_values and long and self.judged_on == TEST_FLIGHTS:
             hints.append(
                 Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted")
             )
@@ -572,19 +565,3 @@ class _Work:
         if found.action:
             why = tuple(w.replace(found.action, action) for w in why)
         return replace(found, action=action, why=why)
-
-
-def _has(channels: Sequence[str], *groups: str) -> bool:
-    return all(c in channels for g in groups for c in GROUPS[g].columns)
-
-
-def _matrix(segment: Segment, group: str) -> FloatArray:
-    """Values (N, dimension) of a group; NaN where not measured, and everywhere where a column is
-    absent."""
-    return segment.matrix(GROUPS[group].columns, missing_ok=True)
-
-
-def _imu(segment: Segment) -> ImuRecord:
-    return ImuRecord.of(
-        _matrix(segment, "rate"), _matrix(segment, "specific_force"), sample_time=segment.dt
-    )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from greybox import build_model, compare, fit, validate
-from greybox.automatic.fit import adaptation
+from greybox.automatic.fit import adaptation_of
 from greybox.data import Dataset
 from greybox.errors import DataError, ModelError
 from greybox.estimation.recipe import Recipe
@@ -70,7 +70,7 @@ def test_what_an_explicit_fit_cannot_use_is_refused(sets, model):
 
 @pytest.mark.parametrize(
     ("seconds", "adapted"),
-    [(60.0, 5.0), (15.1, 5.0), (12.0, 4.0), (6.0, 2.0), (2.0, 0.6), (1.2, None), (0.7, None)],
+    [(60.0, 5.0), (15.1, 5.0), (12.0, 4.0), (6.0, 2.0), (2.0, 0.6), (1.2, 0.0), (0.7, 0.0)],
 )
 def test_a_short_flight_adapts_too_on_a_third_where_enough_is_left_to_judge(sets, seconds, adapted):
     (segment,) = sets[1]["run1"].segments
@@ -78,6 +78,6 @@ def test_a_short_flight_adapts_too_on_a_third_where_enough_is_left_to_judge(sets
     columns = {n: np.resize(segment.column(n), t.size) for n in segment.names}
     flight = replace(sets[1]["run1"], segments=(replace(segment, t=t, channels=columns),))
     test = Dataset(flights=(flight,))
-    assert adaptation(Recipe(adapt=5.0), test) == adapted
-    assert adaptation(Recipe(adapt=5.0), test, 2.0) == 2.0
-    assert adaptation(Recipe(), test) is None
+    assert adaptation_of(Recipe(adapt=5.0), test) == adapted
+    assert adaptation_of(Recipe(adapt=5.0), test, 2.0) == 2.0
+    assert adaptation_of(Recipe(), test) is None

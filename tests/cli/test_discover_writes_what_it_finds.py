@@ -310,7 +310,7 @@ BAD = {
     "no such log": (["--train", "nothing.csv"], "nothing.csv"),
     "alpha": (["--train", "a.csv", "--alpha", "2"], "--alpha"),
     "max effects": (["--train", "a.csv", "--max-effects", "-1"], "--max-effects"),
-    "adapt": (["--train", "a.csv", "--adapt", "0"], "--adapt"),
+    "adapt": (["--train", "a.csv", "--adapt", "-1"], "--adapt"),
     "both": (["--train", "a.csv", "--test", "a.csv"], "both train and test"),
     "no such effects file": (["--train", "a.csv", "--effects-file", "none.py"], "none.py"),
     "a model beside a vehicle": (

@@ -84,7 +84,7 @@ CASES = {
     ),
     "no points": (["model.json", "--train", "a.csv", "--points", "0"], "--points"),
     "points in words": (["model.json", "--train", "a.csv", "--points", "many"], "--points"),
-    "no adaptation": (["model.json", "--train", "a.csv", "--adapt", "0"], "--adapt"),
+    "no adaptation": (["model.json", "--train", "a.csv", "--adapt", "-1"], "--adapt"),
     "a learner that returns NaN": (
         ["model.json", "--train", "a.csv", "--learner", "nan.py:Nan", "--inputs", "p"],
         "learner nan: nothing is not finite on the training flights",

@@ -98,7 +98,7 @@ def dataset(*segments: Segment) -> Dataset:
 
 def test_the_true_model_predicts_its_own_flight_exactly() -> None:
     model = make_model()
-    result = validate(model, dataset(fly(model, 200)), measured_start=True)
+    result = validate(model, dataset(fly(model, 200)), adapt=0.0, measured_start=True)
     assert set(result.table.groups) == {"position", "velocity", "rotation", "rate"}
     for table in (result.table, result.measured_start):
         # The velocity starts from a line through the first tenth of a second of positions: not
@@ -134,7 +134,7 @@ def test_origins_do_not_cross_a_gap() -> None:
     model = make_model()
     whole = fly(model, 250, noise=1.0)
     parts = whole.rows(0, 120), whole.rows(130, 250)
-    result = validate(model, dataset(*parts))
+    result = validate(model, dataset(*parts), adapt=0.0)
     assert result.table.groups["rate"].origins == 2 * (120 - 50 - 9)
     assert result.table.groups["rate"].n[49] == 2 * (120 - 50 - 9)
 
@@ -144,7 +144,7 @@ def test_a_missing_sample_takes_its_origins_with_it() -> None:
     segment = fly(model, 200, noise=1.0)
     x = np.array(segment.channels["x"])
     x[100] = np.nan
-    result = validate(model, dataset(segment.replace({"x": x})))
+    result = validate(model, dataset(segment.replace({"x": x})), adapt=0.0)
     assert result.table.groups["position"].left_out == 51
     assert result.table.groups["rate"].left_out == 0
 
@@ -304,7 +304,7 @@ def test_a_setpoint_elsewhere_is_no_extrapolation_and_a_faster_rate_is() -> None
 
 def test_longer_horizons_than_fifty_use_the_origins_that_reach_them() -> None:
     model = make_model()
-    result = validate(model, dataset(fly(model, 160)), horizon_samples=(1, 100))
+    result = validate(model, dataset(fly(model, 160)), adapt=0.0, horizon_samples=(1, 100))
     rate = result.table.groups["rate"]
     assert rate.origins == 110 - 9
     assert rate.n[99] == 60 - 9
