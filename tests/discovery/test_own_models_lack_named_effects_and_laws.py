@@ -103,7 +103,8 @@ def test_what_a_short_judge_cannot_certify_and_all_flights_ask_for_stays_without
     assert "dry.c" in found.model.values
     (row,) = found.to_dict()["not_certified"]
     assert row["in_model"] is True
-    assert "not certified, in the model: dry" in found.summary()
+    size = f"c = {found.model.values['dry.c']:.4g} +- "
+    assert f"not certified, in the model: dry ({size}" in found.summary()
     assert "in the model, not certified: dry" in found.line and "NOTHING" not in found.line
 
 
