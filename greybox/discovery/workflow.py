@@ -275,7 +275,7 @@ class _Run:
             sensors=tuple(sensor_table(found)),
             base=tuple(sorted(causes.base)),
             lawful=lawful,
-            denied=denied(found, causes.core),
+            denied=denied(self.settled(left.written or at), causes.core),
         )
 
     def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:

@@ -195,9 +195,9 @@ def doubt(rows: Iterable[GapRow]) -> str:
 
 def worsened(rows: Iterable[GapRow]) -> list[str]:
     """Why groups and horizons clearly got worse, in words. What lasts and has no name may stand
-    against a name: with what the filter sees of it errors fall. Else the commands of a feedback
-    answer what comes in between, which nobody foretells, and a model that follows them adds the
-    answers up (`scenarios.studies.feedback_tells`)."""
+    against a name: with what the filter sees of it errors fall. Else flights have offsets of their
+    own, or the commands of a feedback answer what comes in between, which nobody foretells, and a
+    model that follows them adds the answers up (`scenarios.studies.feedback_tells`)."""
     out = []
     for r in rows:
         if not r.worse:
@@ -212,8 +212,9 @@ def worsened(rows: Iterable[GapRow]) -> list[str]:
             out.append(f"{said}worse than without the names")
         else:
             out.append(
-                f"{said}worse: commands of a feedback may answer what comes in between, and a "
-                "model that follows them adds the answers up"
+                f"{said}worse: offsets of these flights' sensors may be others (--adapt 5), or "
+                "commands of a feedback answer what comes in between, and a model that follows "
+                "them adds the answers up"
             )
     return out
 

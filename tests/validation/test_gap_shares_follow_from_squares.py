@@ -119,6 +119,7 @@ def test_what_got_worse_has_a_reason(seen: float, why: str):
     assert worse[0].filtered == pytest.approx(seen)
     (said,) = worsened(worse)
     assert said.startswith("rate 0.5 s ahead: worse") and why in said
+    assert ("offsets of these flights' sensors" in said) is (why != "stands against")
     assert worsened(better) == []
     assert doubt(better) == ""
     assert ("alone it foretells rate worse" in doubt(worse)) is (why == "stands against")
