@@ -25,16 +25,17 @@ from greybox.discovery.cause import offer, sensor_cause
 from greybox.discovery.certificate import regret
 from greybox.discovery.document import DiscoveryDocument, NamedRow, UnnamedRow
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.name import LOG10
+from greybox.discovery.name import LOG10, verdict_of
 from greybox.errors import DataError
 from greybox.estimation.record import sample_time
 from greybox.estimation.start import Key
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
-from greybox.model.known import Known, known_numbers, since
+from greybox.model.known import known_numbers, since
 from greybox.model.noise import sensor_parts
 from greybox.model.noise_free import with_sensor_noise
 from greybox.statistics.betting import bar_of_several
+from greybox.validation.validate import verdict_on
 
 
 @threadpool_limits.wrap(limits=1)
@@ -42,13 +43,15 @@ def further(
     content: DiscoveryDocument, model: IdentifiedModel, data: Dataset, own: Iterable[Effect] = ()
 ) -> DiscoveryDocument:
     """The `content` of discovery.json with the evidence of new flights `data` multiplied to that of
-    its names; `model` is the one beside it, `own` are effects besides the catalogue.
+    its names, what speaks for them only of flights that `model` beside it foretells; `own` effects.
 
     Raises `DataError` for flights that took part or no names, `ModelError`, `FitError`.
     """
     _demand_new(content, model, data)
     flights, told = _told(model, data, own)
     told_now = [_log_e(flights, told, effect, model) / LOG10 for effect in content["effects"]]
+    if unlike := _unlike(content, model, data):
+        told_now = [min(new, 0.0) for new in told_now]
     alone = content.get("alone_log10_e", content["bar_log10_e"])
     totals = [e["log10_e"] + new for e, new in zip(content["effects"], told_now, strict=True)]
     bar = bar_of_several([LOG10 * t for t in totals], LOG10 * alone) / LOG10
@@ -60,6 +63,7 @@ def further(
             status = "not certified"
         effects.append({**effect, "log10_e": total, "status": status, "further": new})
     kept = [e for e in effects if e["status"] != "not certified"]
+    sets = {"one of these"} if content["ambiguous"] else set[str]()
     lost = [_unnamed(e, bar) for e in effects if e["status"] == "not certified"]
     return {
         **content,
@@ -67,8 +71,9 @@ def further(
         "effects": kept,
         "not_certified": [*content["not_certified"], *lost],
         "tested_on": [*content["tested_on"], *data.names],
-        "line": _line(kept, content["line"]),
-        "verdict": _verdict(content, kept),
+        "line": unlike + _line(kept, content["line"]),
+        "warnings": content["warnings"] + [unlike] * bool(unlike),
+        "verdict": verdict_of({e["status"] for e in kept} | sets, bool(content["unnamed"])),
     }
 
 
@@ -94,25 +99,34 @@ def _demand_new(content: DiscoveryDocument, model: IdentifiedModel, data: Datase
 
 def _told(model: IdentifiedModel, data: Dataset, own: Iterable[Effect]) -> tuple[Flights, Fitted]:
     """The new flights, and the structure of `model` fitted to them from what is known."""
-    known = since(model)
     causes = offer(
         model.physics.vehicle,
         data.channels,
         own=own,
         sample_time=sample_time(data),
         noncausal=data.noncausal,
-        known=Known(effects=(), prior=known.prior, input=known.input),
+        known=replace(since(model), effects=()),
         kinematic_noise=model.physics.kinematic_noise,
     )
     parts = [sensor_cause(p, causes.model) for p in sensor_parts(model.dynamics)]
     causes = causes.with_cause(*parts)
-    structure = frozenset(
-        n for n in (*model.effects, *(p.name for p in parts)) if n in causes.offered
-    )
+    there = (*model.effects, *(p.name for p in parts))
+    structure = frozenset(there) & causes.offered.keys()
     noisy = with_sensor_noise(data, model.physics.vehicle)[0]
     flights = Flights(causes=causes, data=without_lead_in(noisy))
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     return flights, flights.fit(structure, [start])
+
+
+def _unlike(content: DiscoveryDocument, model: IdentifiedModel, data: Dataset) -> str:
+    """That the model foretold the flights of the search, and some of these it does not; else empty.
+    Nobody believes a structure with or without a name then."""
+    adapt = content["settings"].get("adapt")
+    seen = [verdict_on(model, Dataset(flights=(flight,)), adapt) for flight in data]
+    said = "; ".join(f"{', '.join(v.flights)}: {v.line}" for v in seen if v and v.refused)
+    if not said or (model.verdict and model.verdict.refused):
+        return ""
+    return f"ANOTHER CRAFT OR AIR, which counts against names only ({said}; discover --from). "
 
 
 def _unnamed(effect: NamedRow, bar: float) -> UnnamedRow:
@@ -141,15 +155,6 @@ def _log_e(flights: Flights, told: Fitted, effect: NamedRow, model: IdentifiedMo
         paid = regret(None, rival, keys) if keys and rival.value.valid else 0.0
         logs.append(told.log_evidence - rival.log_evidence - paid - told.may_gain - rival.may_gain)
     return min(logs)
-
-
-def _verdict(content: DiscoveryDocument, kept: Iterable[NamedRow]) -> str:
-    """As of a search: the first of named, ambiguous and unnamed that there is."""
-    if any(e["status"] in ("certified", "supported") for e in kept):
-        return "named"
-    if content["ambiguous"]:
-        return "ambiguous"
-    return "unnamed" if content["unnamed"] else "nothing_missing"
 
 
 def _line(kept: Iterable[NamedRow], before: str) -> str:

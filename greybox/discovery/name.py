@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -69,11 +69,19 @@ class Name:
         }
 
 
+def verdict_of(said: Collection[str], unnamed: bool) -> str:
+    """The first of named, ambiguous and unnamed that there is, where this was `said` of causes."""
+    if "certified" in said or "supported" in said:
+        return "named"
+    if "one of these" in said:
+        return "ambiguous"
+    return "unnamed" if unnamed else "nothing_missing"
+
+
 def held(name: Name) -> Name:
     """A name where a law won: no model was right before, and only an e-value holds."""
-    if name.status != "supported":
-        return name
-    return replace(name, status="not certified", kept=True)
+    doubted = replace(name, status="not certified", kept=True)
+    return doubted if name.status == "supported" else name
 
 
 def judged(

@@ -102,7 +102,8 @@ def in_words(found: Discovery) -> str:
             lines.append(f"    {never if fly['seconds_to_bic_10'] is None else apart}")
     lines += [f"  {t['status']}: {t['name']}, {t['reason']}" for t in found.traces()]
     for n in found.said("not certified"):
-        lines.append(f"  not certified{', in the model' * n.kept}: {n.name} ({n.reason})")
+        own = _in_words(n.name, found.numbers_of(n.name)) if n.kept else n.name
+        lines.append(f"  not certified{', in the model' * n.kept}: {own}: {n.reason}")
     if found.base:
         drift = ", noise between attitude and gyro" * bool(found.settings.get("kinematic_noise"))
         base = (_in_words(n, found.numbers_of(n)) if n in LEVELS else n for n in found.base)
@@ -143,11 +144,10 @@ def with_size(name: Name, fit: Fit) -> Name:
     """A trace with its numbers in `fit`, which the final model has not."""
     if name.status != "trace":
         return name
-    own = {n: e for n, e in fit.parameters.items() if n.split(".")[0] == name.name}
     sizes = (
         f"{n.split('.', 1)[-1]} = {e.value:.2g} +- {e.std:.2g} {e.unit}".rstrip()
-        for n, e in own.items()
-        if np.isfinite(e.std)
+        for n, e in fit.parameters.items()
+        if n.split(".")[0] == name.name and np.isfinite(e.std)
     )
     return replace(name, reason=": ".join(part for part in (", ".join(sizes), name.reason) if part))
 

@@ -33,6 +33,7 @@ from greybox.discovery.name import (
     judged,
     separating,
     unneeded,
+    verdict_of,
     with_values_elsewhere,
 )
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
@@ -61,7 +62,6 @@ from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
 from greybox.takes import FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
 from greybox.validation.adapt import adaptation
-from greybox.validation.advice import Hint, Symptom
 from greybox.validation.gap import (
     GapRow,
     HeldOutErrors,
@@ -72,7 +72,7 @@ from greybox.validation.gap import (
     worsened,
 )
 from greybox.validation.sanity import denied
-from greybox.validation.validate import validate
+from greybox.validation.validate import verdict_on
 from greybox.validation.worth import worth
 
 Progress = Callable[[str, float], None]
@@ -262,7 +262,7 @@ class _Run:
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
             self._so_far(found),
-            verdict=_verdict(names, left),
+            verdict=verdict_of({n.status for n in names}, bool(left.unnamed)),
             names=tuple(names),
             left=left,
             before=before.axes,
@@ -277,7 +277,7 @@ class _Run:
             sensors=tuple(sensor_table(found)),
             base=tuple(sorted(causes.base)),
             lawful=lawful,
-            denied=denied(found, causes.core),
+            denied=denied(self.settled(left.written or at), causes.core),
         )
 
     def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:
@@ -302,11 +302,12 @@ class _Run:
         worse = {n.name for n in doubted if n.worth and n.worth.harms}
         if left.written is not None:
             names = [held(n) for n in names]
-            shorter, fewer = self._beside_laws(names, named, left.written)
-            said = self.warnings.copy()
-            if fewer is not named and (rest := self._left(null, fewer)).written is not None:
-                return shorter, fewer, rest
-            self.warnings = said  # the names had said what the laws say
+            while (fewer := self._beside_laws(names, named, left.written))[1] is not named:
+                said, rest = self.warnings.copy(), self._left(null, fewer[1])
+                if rest.written is None:
+                    self.warnings = said  # the names had said what the laws say
+                    break
+                names, named, left = *fewer, rest  # even fewer may be needed beside these laws
         elif worse:
             names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
             named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))
@@ -354,12 +355,8 @@ class _Run:
 
     def _judged(self, found: Fit) -> Fit:
         """With the verdict of the flights that judge, where they can tell."""
-        hints, some = (Hint(symptom=Symptom.FOR_NAMES),), 5  # neighbours tell the same
-        with contextlib.suppress(GreyboxError):
-            adapt = self.options.adapt
-            seen = validate(found.model, self.judges, adapt=adapt, hints=hints, every=some)
-            return found.judged(seen.verdict)
-        return found
+        seen = verdict_on(found.model, self.judges, self.options.adapt)
+        return found if seen is None else found.judged(seen)
 
     # ---------------------------------------------------------------- judging
 
@@ -486,13 +483,3 @@ class _Run:
         except GreyboxError as error:
             self.warnings.append(f"no attainable line: {error}")
             return None
-
-
-def _verdict(names: Sequence[Name], left: Left) -> str:
-    """The first of named, ambiguous and unnamed that there is."""
-    status = {n.status for n in names}
-    if status & {"certified", "supported"}:
-        return "named"
-    if "one of these" in status:
-        return "ambiguous"
-    return "unnamed" if left.unnamed else "nothing_missing"

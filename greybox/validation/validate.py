@@ -9,6 +9,7 @@ rows beside each table are persistence (ceiling) and dead reckoning (floor).
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ import numpy as np
 from greybox.data import Dataset, Flight, Segment, group_names
 from greybox.data.dataset import FlightFacts
 from greybox.data.fingerprint import of_one_flight
-from greybox.errors import DataError, FitError, ModelError
+from greybox.errors import DataError, FitError, GreyboxError, ModelError
 from greybox.estimation.engine import unfelt_place
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.options import says_choices
@@ -157,6 +158,15 @@ def _demand_causal(model: IdentifiedModel, dataset: Dataset) -> None:
             f"the filter measures {', '.join(wrong)}, which are smoothed with later samples",
             fix="fit without these columns, or remove causal = false where it is wrong",
         )
+
+
+def verdict_on(model: IdentifiedModel, data: Dataset, adapt: float | None) -> Verdict | None:
+    """What flights say of a model that was made to name, its own values adapted on their first
+    `adapt` s; None where they cannot tell."""
+    hints, some = (Hint(symptom=Symptom.FOR_NAMES),), 5  # neighbours tell the same
+    with contextlib.suppress(GreyboxError):
+        return validate(model, data, adapt=adapt, hints=hints, every=some).verdict
+    return None
 
 
 @dataclass(kw_only=True)

@@ -20,6 +20,7 @@ from greybox.discovery.workflow import discover
 from greybox.errors import DataError, GreyboxError
 from greybox.files import to_plain
 from greybox.model.noise import sensor_parts
+from greybox.plants.effects import PayloadMass
 from tests.discovery import small_world
 from tests.discovery.small_world import DAMPING, SHORT, shorten, vehicle
 from tests.discovery.test_noise_that_is_not_felt_is_not_kept import coloured
@@ -170,6 +171,23 @@ def test_further_flights_multiply_the_evidence_either_way(
         further(content, found.model, small_world.flown(DAMPING, seeds=(11,), name="test"))
     with pytest.raises(DataError, match="copy0 took part"):
         further(content, found.model, small_world.flown(DAMPING, seeds=(1,), name="copy"))
+
+
+@pytest.mark.slow
+def test_flights_of_a_craft_that_changed_are_no_evidence_for_a_name(
+    damped: tuple[Discovery, list[Discovery]],
+):
+    found, content = damped[0], valid(damped[0])
+    loaded = small_world.flown(DAMPING, PayloadMass(mu=0.2), seeds=(21,), name="loaded")
+    same = small_world.flown(DAMPING, seeds=(22,), name="same")
+    after = further(content, found.model, loaded + same)
+    ((before,), (now,)) = content["effects"], after["effects"]
+    assert now["log10_e"] <= before["log10_e"]
+    assert "ANOTHER CRAFT OR AIR" in after["line"].split(";")[0]
+    assert "loaded0: NOT USABLE" in after["line"]
+    assert "same0" not in after["line"]
+    assert after["warnings"][-1] in after["line"]
+    assert further(content, found.model, same)["effects"][0]["further"] > 1.0
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +18,11 @@ import numpy as np
 import pytest
 
 from greybox.data import Dataset
+from greybox.discovery import workflow
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
 from greybox.errors import ModelError, UnknownNameError
+from greybox.estimation.fit import Fit
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.own_effect import declared_effects, with_terms, without_effects
@@ -103,7 +105,8 @@ def test_what_a_short_judge_cannot_certify_and_all_flights_ask_for_stays_without
     assert "dry.c" in found.model.values
     (row,) = found.to_dict()["not_certified"]
     assert row["in_model"] is True
-    assert "not certified, in the model: dry" in found.summary()
+    size = f"c = {found.model.values['dry.c']:.4g} +- "
+    assert f"not certified, in the model: dry ({size}" in found.summary()
     assert "in the model, not certified: dry" in found.line and "NOTHING" not in found.line
 
 
@@ -134,6 +137,22 @@ def test_what_has_no_name_is_a_law_in_a_program_that_builds_the_model(tmp_path: 
     ours, theirs = built.f(0, x, u, p), lawful.core.f(0, x, u, p)
     assert np.allclose(np.asarray(ours), np.asarray(theirs), rtol=1e-12)
     json.dumps(found.to_dict())
+
+
+def test_numbers_are_held_against_their_model_with_its_laws(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without the laws they had bent."""
+    asked = list[Fit]()
+
+    def denied(fit: Fit, _stated: Collection[str]) -> tuple[str, ...]:
+        asked.append(fit)
+        return ()
+
+    monkeypatch.setattr(workflow, "denied", denied)
+    found = searched(candidates())
+    assert found.lawful is not None
+    assert [f.model.values for f in asked] == [found.lawful.values]
 
 
 def test_a_model_that_lacks_nothing_is_said_to() -> None:
