@@ -10,8 +10,8 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -150,15 +150,15 @@ def own_from_dict(data: Parsed, *, where: str = "model") -> StateSpaceModel:
             wanted = [1, len(layouts["states"]), len(layouts["inputs"]), len(parameters)]
             if shapes != wanted or functions[part].numel_out(0) != len(layouts[size]):
                 raise ValueError(f"{part} takes {shapes}, expected {wanted}")
-        order = [d.name for d in parameters]
+        order = tuple(d.name for d in parameters)
         return StateSpaceModel(
             name=str(data["name"]),
             states=layouts["states"],
             inputs=layouts["inputs"],
             outputs=layouts["outputs"],
             parameters=parameters,
-            dynamics=_called(functions["dynamics"], order),
-            measurement=_called(functions["measurement"], order),
+            dynamics=_Called(functions["dynamics"], order),
+            measurement=_Called(functions["measurement"], order),
             noise_states=tuple(data["noise_states"]),
             discrete=bool(data["discrete"]),
             substeps=int(data["substeps"]),
@@ -178,14 +178,17 @@ def _numbers(values: Parsed | None) -> dict[str, float] | None:
     return None if values is None else {str(k): float(v) for k, v in values.items()}
 
 
-def _called(function: ca.Function, names: list[str]) -> Callable[..., Expr]:
-    """The function of a file as the user's own was: (t, x, u, p by name) -> vector."""
+@dataclass(frozen=True)
+class _Called:
+    """The `function` of a file as the user's own was: (t, x, u, p by name) -> vector. Unlike a
+    closure it goes to another process."""
 
-    def value(t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> Expr:
-        out: Expr = function(t, x, u, ca.vertcat(*(p[n] for n in names)))
+    function: ca.Function
+    names: tuple[str, ...]
+
+    def __call__(self, t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> Expr:
+        out: Expr = self.function(t, x, u, ca.vertcat(*(p[n] for n in self.names)))
         return out
-
-    return value
 
 
 def same_model(one: StateSpaceModel, other: StateSpaceModel) -> bool:
