@@ -5,7 +5,7 @@ and what must be said of all this.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -30,6 +30,7 @@ from greybox.estimation.status import Status
 from greybox.estimation.turning import turning_states
 from greybox.estimation.unknown import Unknown
 from greybox.estimation.varying import varying_spread
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters, physics_of
 from greybox.model.parameter import ParameterValues
@@ -136,7 +137,7 @@ def _warned(
     """What is said of bounds, of noise that is not told apart, of what flights tell of the rest and
     of the records."""
     return [
-        *_bound_warnings(estimates, own_parameters(problem.dynamics)),
+        *_bound_warnings(estimates, problem.dynamics),
         *errors.spread.splits,
         *nearer_warnings(nearer),
         *_record_warnings(problem),
@@ -287,8 +288,14 @@ def _unfinished(value: Value, held: BoolArray) -> bool:
     return newton_decrement(value.gradient, value.hessian, held) > 1e-2
 
 
-def _bound_warnings(estimates: Mapping[str, Estimate], own: Collection[str]) -> list[str]:
+def _bound_warnings(estimates: Mapping[str, Estimate], dynamics: Dynamics) -> list[str]:
+    own = own_parameters(dynamics)
     advice = "check the vehicle file or the effect list"
+    if physics_of(dynamics) is None:
+        advice = (
+            "are its bounds and its prior right (unit, sign)? Else the model lacks a term, and the "
+            "other numbers bear it"
+        )
     noise = "these flights do not show how long such noise lasts, and nothing else depends on it"
     return [
         f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; {advice if n in own else noise}"
