@@ -10,8 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
 
@@ -19,7 +18,7 @@ import casadi as ca
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import Json, Parsed
-from greybox.model.dynamics import StateSpaceModel
+from greybox.model.dynamics import Called, StateSpaceModel
 from greybox.model.effect_check import failed
 from greybox.model.expressions import read_function, write_function
 from greybox.model.parameter import Parameter
@@ -157,8 +156,8 @@ def own_from_dict(data: Parsed, *, where: str = "model") -> StateSpaceModel:
             inputs=layouts["inputs"],
             outputs=layouts["outputs"],
             parameters=parameters,
-            dynamics=_Called(functions["dynamics"], order),
-            measurement=_Called(functions["measurement"], order),
+            dynamics=Called(functions["dynamics"], order),
+            measurement=Called(functions["measurement"], order),
             noise_states=tuple(data["noise_states"]),
             discrete=bool(data["discrete"]),
             substeps=int(data["substeps"]),
@@ -176,19 +175,6 @@ def own_from_dict(data: Parsed, *, where: str = "model") -> StateSpaceModel:
 
 def _numbers(values: Parsed | None) -> dict[str, float] | None:
     return None if values is None else {str(k): float(v) for k, v in values.items()}
-
-
-@dataclass(frozen=True)
-class _Called:
-    """The `function` of a file as the user's own was: (t, x, u, p by name) -> vector. Unlike a
-    closure it goes to another process."""
-
-    function: ca.Function
-    names: tuple[str, ...]
-
-    def __call__(self, t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> Expr:
-        out: Expr = self.function(t, x, u, ca.vertcat(*(p[n] for n in self.names)))
-        return out
 
 
 def same_model(one: StateSpaceModel, other: StateSpaceModel) -> bool:
