@@ -135,8 +135,9 @@ SUBJECT = Kind(
 )
 MODEL = Kind(
     words="a model of fit, discover or learn, or the path of its file",
-    fits=has("dynamics", "sample_time"),
-    fix="greybox.load('model.json'), fit(...).model; a linear model is judged by its own fit",
+    fits=has("dynamics", "sample_time", "reference_state"),
+    fix="greybox.load('model.json'), fit(...).model; a linear model is judged by its own fit and "
+    "learned from by greybox.baselines.output_residual.fit_output_residual",
     error=ModelError,
     read="greybox.residual.files:load_model",
 )
