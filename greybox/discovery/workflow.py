@@ -36,7 +36,7 @@ from greybox.discovery.name import (
     with_values_elsewhere,
 )
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
-from greybox.discovery.own_cause import offer_own
+from greybox.discovery.own_cause import memory_of, offer_own
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import RULES
 from greybox.discovery.search import Rival, Search
@@ -260,7 +260,7 @@ class _Run:
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
             self._so_far(found),
-            verdict=_verdict(names, left),
+            verdict=_verdict(names, left, found),
             names=tuple(names),
             left=left,
             before=before.axes,
@@ -486,11 +486,11 @@ class _Run:
             return None
 
 
-def _verdict(names: Sequence[Name], left: Left) -> str:
+def _verdict(names: Sequence[Name], left: Left, found: Fit) -> str:
     """The first of named, ambiguous and unnamed that there is."""
     status = {n.status for n in names}
     if status & {"certified", "supported"}:
         return "named"
     if "one of these" in status:
         return "ambiguous"
-    return "unnamed" if left.unnamed else "nothing_missing"
+    return "unnamed" if left.unnamed or memory_of(found) else "nothing_missing"

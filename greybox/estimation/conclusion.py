@@ -93,7 +93,7 @@ def concluded(
         *([status.advice] if turned or not status.converged else []),
         *([errors.spread.doubt] if errors.spread.doubt else []),
         *([UNFINISHED] if status.converged and _unfinished(value, errors.held) else []),
-        *_warned(problem, estimates, errors, nearer),
+        *_warned(problem, estimates, errors, nearer, seen.coloured),
         *_combination_warnings(problem, kept, combinations),
     ]
     return Fit(
@@ -133,10 +133,12 @@ def _warned(
     estimates: Mapping[str, Estimate],
     errors: _Errors,
     nearer: Mapping[str, tuple[float, float]],
+    coloured: bool,
 ) -> list[str]:
-    """What is said of bounds, of noise that is not told apart, of what flights tell of the rest and
-    of the records."""
+    """What is said of colour, of bounds, of noise that is not told apart, of what flights tell of
+    the rest and of the records."""
     return [
+        *([NOT_WHITE] if coloured and _of_its_own(problem) else []),
         *_bound_warnings(estimates, problem.dynamics),
         *errors.spread.splits,
         *nearer_warnings(nearer),
@@ -286,6 +288,18 @@ def _unfinished(value: Value, held: BoolArray) -> bool:
     if value.gradient is None or value.hessian is None or value.data_hessian is None:
         return False
     return newton_decrement(value.gradient, value.hessian, held) > 1e-2
+
+
+NOT_WHITE = (
+    "one-step errors are not white: the model lacks something, and numbers may be off by more than "
+    "their errors; greybox discover looks for it"
+)
+
+
+def _of_its_own(problem: Problem) -> bool:
+    """Whether a model of the user's own was fitted to its errors one step ahead."""
+    one_step = problem.predictor.one_step is problem.predictor
+    return one_step and physics_of(problem.dynamics) is None
 
 
 def _bound_warnings(estimates: Mapping[str, Estimate], dynamics: Dynamics) -> list[str]:
