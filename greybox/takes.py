@@ -160,6 +160,9 @@ LOGS = Kind(
     ),
     fix="greybox.read_logs(paths, vehicle), read_table(path) of each log",
 )
+EXECUTOR = Kind(
+    words="an executor", fits=has("submit"), fix="concurrent.futures.ProcessPoolExecutor(2)"
+)
 RECORDS = Several(
     words="a list of Records",
     fits=has("u", "y"),
@@ -210,6 +213,10 @@ NUMBERS = Several(words="a list of numbers", fits=is_number)
 COUNT = Kind(
     words="a whole number above zero",
     fits=lambda v: is_number(v) and int(v) == v and v > 0,
+)
+SEED = Kind(
+    words="a whole number from 0 on",
+    fits=lambda v: isinstance(v, numbers.Integral) and not isinstance(v, bool) and v >= 0,
 )
 POSITIVE = Kind(words="a number above zero", fits=lambda v: is_number(v) and v > 0)
 SHARE = Kind(words="a number between 0 and 1", fits=lambda v: is_number(v) and 0 < v < 1)

@@ -59,7 +59,7 @@ from greybox.model.verdict import STOPPED
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
-from greybox.takes import FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
+from greybox.takes import EXECUTOR, FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
 from greybox.validation.advice import Hint, Symptom
 from greybox.validation.gap import (
     GapRow,
@@ -83,6 +83,7 @@ Judged = tuple[list[Name], Fitted]
 @says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
 @takes(subject=SEARCHED, train=FLIGHTS, test=FLIGHTS, accept=NAMES, since=MODEL, alpha=SHARE)
+@takes(executor=EXECUTOR)
 def discover(
     subject: Vehicle | StateSpaceModel,
     train: Dataset,
@@ -330,8 +331,6 @@ class _Run:
             settings=self.settings,
             warnings=("the search was stopped before its end",),
         )
-
-    # ---------------------------------------------------------------- models
 
     def settled(self, at: Fitted) -> Fit:
         """The whole result of a fit, once."""

@@ -99,6 +99,14 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
         r"fixed takes a list of names; got 'mass'.*fixed=\['mass'\]",
     ),
     "probability": (lambda: gb.discover(VEHICLE, DATA, alpha=2.0), "alpha .* between 0 and 1"),
+    "a search in processes by name": (
+        lambda: gb.discover(VEHICLE, DATA, executor="processes"),
+        "executor takes an executor; got 'processes'.*ProcessPoolExecutor",
+    ),
+    "a seed of a fit": (lambda: gb.fit(VEHICLE, DATA, seed=np.random.default_rng(0)), "seed takes"),
+    "a seed of a search": (lambda: gb.discover(VEHICLE, DATA, seed="a"), "from 0 on; got 'a'"),
+    "a seed below zero": (lambda: gb.learn(MODEL, DATA, seed=-1), "from 0 on; got -1"),
+    "half a seed": (lambda: gb.twin(MODEL, draws=2, seed=1.5), "from 0 on; got 1.5"),
     "one input": (lambda: gb.frf(DATA, "roll", ["p"]), r"inputs=\['roll'\]"),
     "filter of a vehicle": (lambda: Filter(VEHICLE), f"model {A_MODEL}"),
     "filter a flight": (
