@@ -216,7 +216,7 @@ COUNT = Kind(
 )
 SEED = Kind(
     words="a whole number from 0 on",
-    fits=lambda v: isinstance(v, numbers.Integral) and not isinstance(v, bool) and v >= 0,
+    fits=lambda v: isinstance(v, numbers.Integral) and is_number(v) and int(v) >= 0,
 )
 POSITIVE = Kind(words="a number above zero", fits=lambda v: is_number(v) and v > 0)
 SHARE = Kind(words="a number between 0 and 1", fits=lambda v: is_number(v) and 0 < v < 1)

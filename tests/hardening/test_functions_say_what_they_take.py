@@ -107,6 +107,7 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "a seed of a search": (lambda: gb.discover(VEHICLE, DATA, seed="a"), "from 0 on; got 'a'"),
     "a seed below zero": (lambda: gb.learn(MODEL, DATA, seed=-1), "from 0 on; got -1"),
     "half a seed": (lambda: gb.twin(MODEL, draws=2, seed=1.5), "from 0 on; got 1.5"),
+    "a seed with a point": (lambda: gb.learn(MODEL, DATA, seed=3.0), "from 0 on; got 3.0"),
     "one input": (lambda: gb.frf(DATA, "roll", ["p"]), r"inputs=\['roll'\]"),
     "filter of a vehicle": (lambda: Filter(VEHICLE), f"model {A_MODEL}"),
     "filter a flight": (
