@@ -135,8 +135,9 @@ SUBJECT = Kind(
 )
 MODEL = Kind(
     words="a model of fit, discover or learn, or the path of its file",
-    fits=has("dynamics", "sample_time"),
-    fix="greybox.load('model.json'), fit(...).model; a linear model is judged by its own fit",
+    fits=has("dynamics", "sample_time", "reference_state"),
+    fix="greybox.load('model.json'), fit(...).model; a linear model is judged by its own fit and "
+    "learned from by greybox.baselines.output_residual.fit_output_residual",
     error=ModelError,
     read="greybox.residual.files:load_model",
 )
@@ -158,6 +159,9 @@ LOGS = Kind(
         or (isinstance(v, Iterable) and all(has("flight", "rows", "channels")(log) for log in v))
     ),
     fix="greybox.read_logs(paths, vehicle), read_table(path) of each log",
+)
+EXECUTOR = Kind(
+    words="an executor", fits=has("submit"), fix="concurrent.futures.ProcessPoolExecutor(2)"
 )
 RECORDS = Several(
     words="a list of Records",
@@ -209,6 +213,10 @@ NUMBERS = Several(words="a list of numbers", fits=is_number)
 COUNT = Kind(
     words="a whole number above zero",
     fits=lambda v: is_number(v) and int(v) == v and v > 0,
+)
+SEED = Kind(
+    words="a whole number from 0 on",
+    fits=lambda v: isinstance(v, numbers.Integral) and is_number(v) and int(v) >= 0,
 )
 POSITIVE = Kind(words="a number above zero", fits=lambda v: is_number(v) and v > 0)
 NOT_NEGATIVE = Kind(words="a number, zero or above", fits=lambda v: is_number(v) and v >= 0)

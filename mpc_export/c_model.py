@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -63,9 +64,16 @@ OUTSIDE = frozenset("UPY")
 """Vectors that a caller fills or reads as signals of the machine: the header says what they mean."""
 
 
-def identifier(name: str) -> str:
-    """A signal's name as part of a C macro."""
-    return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_").upper()
+def identifiers(names: Sequence[str]) -> list[str]:
+    """Signals' names as parts of C macros, no two the same: in capitals; where two have the same
+    (M and m), each in its own letters; where these are the same, too, with its number."""
+    plain = [re.sub(r"[^A-Za-z0-9]+", "_", n).strip("_") for n in names]
+    capitals = Counter(p.upper() for p in plain)
+    out = [p.upper() if capitals[p.upper()] == 1 else p for p in plain]
+    taken = Counter(out)
+    numbered = [f"{p}_{i}".strip("_") for i, p in enumerate(plain)]
+    found = [p if p and taken[p] == 1 else n for p, n in zip(out, numbered, strict=True)]
+    return found if len({*found}) == len(found) else numbered
 
 
 def abi_number(functions: ModelFunctions, source: CSource) -> int:
@@ -163,10 +171,11 @@ class CModel:
             if len(names) > LISTED:
                 out.append(f"/* {names[0]} .. {names[-1]}: the manifest lists them all */")
                 continue
+            called = identifiers(names)
             for i, (n, unit, meaning) in enumerate(zip(names, units, meant, strict=True)):
                 out += [f"/* {_comment(f'{n}: {meaning}')} */"] * bool(meaning)
                 said = f"  /* [{_comment(unit)}] */" if unit else ""
-                out.append(f"#define {self.upper}_{letter}_{identifier(n)} {i}{said}")
+                out.append(f"#define {self.upper}_{letter}_{called[i]} {i}{said}")
         return out
 
     def _numbers(self) -> dict[str, tuple[str, FloatArray]]:

@@ -238,9 +238,8 @@ def run(command: Sequence[str], given: str = "") -> str:
         raise VerifyError(f"{command[0]} did not end within {SECONDS:g} s") from None
     if done.returncode:
         said = (done.stderr or done.stdout).strip().splitlines()
-        raise VerifyError(
-            f"{Path(command[0]).name} failed with code {done.returncode}: {said[0] if said else ''}"
-        )
+        first = next((line for line in said if "error:" in line), said[0] if said else "")
+        raise VerifyError(f"{Path(command[0]).name} failed with code {done.returncode}: {first}")
     return done.stdout
 
 

@@ -72,7 +72,8 @@ def _raw_log(
     own = {k: v for k, v in columns.items() if not is_canonical(k)}
     if len(own) == len(columns):
         raise DataError(
-            f"t is not uniform, and none of {', '.join(own)} is a channel of a vehicle",
+            f"another clock is needed (t is not uniform, or a rate or a vehicle is given), and none "
+            f"of {', '.join(own)} is a channel of a vehicle",
             where=where,
             fix="put them on a uniform clock: only you know which of them hold between samples",
         )

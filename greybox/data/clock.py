@@ -19,6 +19,13 @@ RATES = (5.0, 20000.0)
 """Sample rates [Hz] outside this range mean that the time is not in seconds."""
 UNIT = "say the unit that the column of the time has: [columns.time] unit = 's' (or ms, us, ns)"
 """What to do about it."""
+GOES_BACK = (
+    "where another flight begins there, give it a log (data set) of its own; sort rows that are "
+    "merely out of order"
+)
+"""What to do where time goes back."""
+STANDS_STILL = "drop repeated rows; stamps that were rounded (whole seconds, float32) must be finer"
+"""What to do where time stands still."""
 
 
 def no_flight_log(rate: float) -> str | None:

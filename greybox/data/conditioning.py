@@ -16,7 +16,15 @@ import numpy.typing as npt
 from greybox.data.airborne import airborne
 from greybox.data.airframe import Airframe
 from greybox.data.channel import command_names, group_names
-from greybox.data.clock import UNIT, Clock, backward_rows, no_flight_log, read_clock
+from greybox.data.clock import (
+    GOES_BACK,
+    STANDS_STILL,
+    UNIT,
+    Clock,
+    backward_rows,
+    no_flight_log,
+    read_clock,
+)
 from greybox.data.dataset import Flight
 from greybox.data.drive import drive_names
 from greybox.data.placing import at_rows, commands_at
@@ -122,11 +130,12 @@ def _demand_increasing(raw: RawLog, where: str) -> None:
     bad = backward_rows(raw.t)
     if bad.size:
         k = int(bad[0])
-        what = "the same time stamp twice" if raw.t[k] == raw.t[k - 1] else "time goes back"
+        still = raw.t[k] == raw.t[k - 1]
+        what = "the same time stamp twice" if still else "time goes back"
         raise DataError(
             f"{what} ({raw.t[k - 1]:.6f} s, then {raw.t[k]:.6f} s; {bad.size} such row(s))",
             where=f"{where}, row {raw.rows[k]}",
-            fix="sort the log or drop the repeated rows (`greybox check` lists them)",
+            fix=STANDS_STILL if still else GOES_BACK,
         )
 
 

@@ -1,11 +1,11 @@
 """Fingerprint: which samples a log holds, whatever its file, its stamps and its number format.
 
-A row is what the gyro measured (else the accelerometer, attitude, place). A coarse sensor has the
-same few rows in every flight, but not in the same order: a run of rows is as long as it takes to
-have seen so many different ones. Of all runs those are kept whose hash says so, the same ones in
-every copy and every part (winnowing: Schleimer, Wilkerson and Aiken 2003, SIGMOD). A sensor that
-flickers between a few rows has no run, and tells nothing. Of a long log fewer are kept, some of the
-same ones.
+A row is what the gyro measured (else the accelerometer, attitude, place; of a log of something else
+all columns). A coarse sensor has the same few rows in every flight, but not in the same order: a
+run of rows is as long as it takes to have seen so many different ones. Of all runs those are kept
+whose hash says so, the same ones in every copy and every part (winnowing: Schleimer, Wilkerson and
+Aiken 2003, SIGMOD). A sensor that flickers between a few rows has no run, and tells nothing. Of a
+long log fewer are kept, some of the same ones.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ import numpy.typing as npt
 ROWS = (("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz"), ("x", "y", "z"))
 STEPS = (1e-4, 1e-3, 1e-4, 1e-4)
 """What copies of a log keep of them, in rad/s, m/s^2, 1 and m: finer digits do not count."""
+DIGITS = 5
+"""What copies keep of columns of which nothing is known."""
 DIFFERENT = 8
 """Different rows of a run."""
 ONE_OF = 64
@@ -45,15 +47,11 @@ class LogFile(NamedTuple):
 def fingerprint(channels: Mapping[str, npt.NDArray[np.float64]]) -> frozenset[str]:
     """Hashes (12 hex digits) of some runs of these channels (N,); empty where nothing was measured
     or too little changed. Digits below `STEPS` do not count: a copy with four decimals in rad/s, or
-    three in deg/s, has the same ones or enough of them."""
-    groups = zip(ROWS, STEPS, strict=True)
-    names, step = next((g for g in groups if all(n in channels for n in g[0])), ((), 1.0))
-    if not names:
+    three in deg/s, has the same ones or enough of them. Without any sensor of a vehicle all columns
+    count, to `DIGITS`."""
+    if not channels:
         return frozenset()
-    values = np.column_stack([channels[n] for n in names])
-    with np.errstate(over="ignore"):
-        rows = np.rint(values[np.isfinite(values).all(axis=1)] / step) + 0.0  # no -0
-    rows = rows[np.r_[True, (rows[1:] != rows[:-1]).any(axis=1)][: len(rows)]]  # held ones once
+    rows = _rows(channels)
     hashes = np.zeros(len(rows), dtype=np.uint64)
     for column in rows.T:
         hashes = _mixed(hashes + column.view(np.uint64))
@@ -66,6 +64,20 @@ def fingerprint(channels: Mapping[str, npt.NDArray[np.float64]]) -> frozenset[st
     while len(kept := runs[runs % np.uint64(one_of) == 0]) > MOST:
         one_of *= 2
     return frozenset(f"{h:012x}" for h in kept.tolist())
+
+
+def _rows(channels: Mapping[str, npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+    """What copies of a log have in common, a row per sample (n, k)."""
+    groups = zip(ROWS, STEPS, strict=True)
+    names, step = next((g for g in groups if all(n in channels for n in g[0])), ((), 0.0))
+    values = np.column_stack([channels[n] for n in names or sorted(channels)])
+    values = values[np.isfinite(values).all(axis=1)]
+    if not names:  # held ones count: how long a coarse reading stays is what tells two flights
+        digit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(values), 1e-300))) - DIGITS + 1)
+        return np.rint(values / digit) * digit + 0.0
+    with np.errstate(over="ignore"):
+        rows = np.rint(values / step) + 0.0  # no -0
+    return rows[np.r_[True, (rows[1:] != rows[:-1]).any(axis=1)][: len(rows)]]  # held ones once
 
 
 def of_one_flight(a: frozenset[str], b: frozenset[str]) -> bool:

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.clock import GOES_BACK, STANDS_STILL
 from greybox.data.raw import Column, is_numeric
 from greybox.errors import DataError, UnknownNameError
 from greybox.shown import Cell, Shown
@@ -96,7 +97,7 @@ class Segment(Shown):
             raise DataError(
                 "t is not increasing",
                 where=f"flight {self.flight}",
-                fix="sort the rows by t",
+                fix=STANDS_STILL if dt == 0 else GOES_BACK,
             )
         if shift > CLOCK_TOLERANCE * dt:
             raise DataError(

@@ -1,7 +1,6 @@
-"""Own cause: what a model of the user's own may miss, for the same search as a vehicle's.
-
-Its effects are parameters with a `null` (`greybox.model.own_effect`). What has no name is a
-disturbance of every group of its process noise, and laws of that are terms of states and inputs.
+"""Own cause: what a model of the user's own may miss, for the same search as a vehicle's. Its
+effects are parameters with a `null` (`greybox.model.own_effect`). What has no name is a disturbance
+of every group of its process noise, and laws of that are terms of states and inputs.
 """
 
 from __future__ import annotations
@@ -13,7 +12,9 @@ from typing import Self
 from greybox.discovery.cause import Cause, Causes
 from greybox.discovery.rules import RULES
 from greybox.errors import ModelError
+from greybox.estimation.result import Fit
 from greybox.model.dynamics import StateSpaceModel
+from greybox.model.layer import physics_of
 from greybox.model.noise import Augmented, Disturbance
 from greybox.model.own_effect import (
     Terms,
@@ -108,3 +109,12 @@ def offer_own(
         per_flight=tuple(per_flight),
         known=known or {},
     )
+
+
+def memory_of(found: Fit | None) -> str:
+    """What one-step errors of a user's own model say where they are not white; else ""."""
+    white = found is None or physics_of(found.model.dynamics) or not found.covariance.coloured
+    said = (
+        "one-step errors are NOT WHITE: something with states of its own (a lag, play) is missing"
+    )
+    return "" if white else said

@@ -13,6 +13,7 @@ from greybox.discovery.document import Estimate, LeftRow, WorthRow
 from greybox.discovery.evidence import Fitted
 from greybox.discovery.folder import WITH_LAWS
 from greybox.discovery.name import LOG10, NAMED, Name
+from greybox.discovery.own_cause import memory_of
 from greybox.estimation.result import Fit
 from greybox.model.layer import own_parameters
 from greybox.shown import Cell
@@ -52,8 +53,8 @@ def first_line(found: Discovery) -> str:
     denied = [n for n in doubted if n.certificate.rivals.get((), 0.0) <= -found.bar]
     kept = ", ".join(n.name + UNLIKE * (n in denied) for n in doubted)
     traces = ", ".join(n.name for n in found.said("trace") if n.kept)
-    told = found.model_verdict
-    rough = f"{told.sentence}. " if told and told.refused else doubt(found.gap)
+    rough = f"{v.sentence}. " if (v := found.model_verdict) and v.refused else doubt(found.gap)
+    memory = memory_of(found.fit)
     if found.fit and not found.fit.converged:
         rough += "NOT CONVERGED, every number may move: "
     rough += f"AGAINST THE FILE: {'; '.join(found.denied)}. " * bool(found.denied)
@@ -63,13 +64,11 @@ def first_line(found: Discovery) -> str:
     if held:
         return f"{rough}{what}; without a name: {', '.join(held)}"
     if names or kept or traces:
-        return f"{rough}{what}; nothing clear is left"
+        return f"{rough}{what}; {memory or 'nothing clear is left'}"
     least = list(found.minimum_detectable.items())[:3]
     seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
-    return (
-        f"{rough}NOTHING MISSING"
-        + f" (would have been named from {seen} on at the latest, ...)" * bool(seen)
-    )
+    size = f" (would have been named from {seen} on at the latest, ...)" * bool(seen)
+    return f"{rough}{f'nothing has a name, but {memory}' if memory else 'NOTHING MISSING'}{size}"
 
 
 def in_words(found: Discovery) -> str:

@@ -37,7 +37,7 @@ from greybox.discovery.name import (
     with_values_elsewhere,
 )
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
-from greybox.discovery.own_cause import offer_own
+from greybox.discovery.own_cause import memory_of, offer_own
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import RULES
 from greybox.discovery.search import Rival, Search
@@ -60,7 +60,7 @@ from greybox.model.verdict import STOPPED
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
-from greybox.takes import FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
+from greybox.takes import EXECUTOR, FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
 from greybox.validation.adapt import adaptation
 from greybox.validation.gap import (
     GapRow,
@@ -84,6 +84,7 @@ Judged = tuple[list[Name], Fitted]
 @says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
 @takes(subject=SEARCHED, train=FLIGHTS, test=FLIGHTS, accept=NAMES, since=MODEL, alpha=SHARE)
+@takes(executor=EXECUTOR)
 def discover(
     subject: Vehicle | StateSpaceModel,
     train: Dataset,
@@ -262,7 +263,7 @@ class _Run:
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
             self._so_far(found),
-            verdict=verdict_of({n.status for n in names}, bool(left.unnamed)),
+            verdict=verdict_of({n.status for n in names}, bool(left.unnamed or memory_of(found))),
             names=tuple(names),
             left=left,
             before=before.axes,
@@ -333,8 +334,6 @@ class _Run:
             settings=self.settings,
             warnings=("the search was stopped before its end",),
         )
-
-    # ---------------------------------------------------------------- models
 
     def settled(self, at: Fitted) -> Fit:
         """The whole result of a fit, once."""

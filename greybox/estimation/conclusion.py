@@ -5,7 +5,7 @@ and what must be said of all this.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -30,6 +30,7 @@ from greybox.estimation.status import Status
 from greybox.estimation.turning import turning_states
 from greybox.estimation.unknown import Unknown
 from greybox.estimation.varying import varying_spread
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters, physics_of
 from greybox.model.parameter import ParameterValues
@@ -92,7 +93,7 @@ def concluded(
         *([status.advice] if turned or not status.converged else []),
         *([errors.spread.doubt] if errors.spread.doubt else []),
         *([UNFINISHED] if status.converged and _unfinished(value, errors.held) else []),
-        *_warned(problem, estimates, errors, nearer),
+        *_warned(problem, estimates, errors, nearer, seen.coloured),
         *_combination_warnings(problem, kept, combinations),
     ]
     return Fit(
@@ -132,11 +133,13 @@ def _warned(
     estimates: Mapping[str, Estimate],
     errors: _Errors,
     nearer: Mapping[str, tuple[float, float]],
+    coloured: bool,
 ) -> list[str]:
-    """What is said of bounds, of noise that is not told apart, of what flights tell of the rest and
-    of the records."""
+    """What is said of colour, of bounds, of noise that is not told apart, of what flights tell of
+    the rest and of the records."""
     return [
-        *_bound_warnings(estimates, own_parameters(problem.dynamics)),
+        *([NOT_WHITE] if coloured and _of_its_own(problem) else []),
+        *_bound_warnings(estimates, problem.dynamics),
         *errors.spread.splits,
         *nearer_warnings(nearer),
         *_record_warnings(problem),
@@ -287,8 +290,26 @@ def _unfinished(value: Value, held: BoolArray) -> bool:
     return newton_decrement(value.gradient, value.hessian, held) > 1e-2
 
 
-def _bound_warnings(estimates: Mapping[str, Estimate], own: Collection[str]) -> list[str]:
+NOT_WHITE = (
+    "one-step errors are not white: the model lacks something, and numbers may be off by more than "
+    "their errors; greybox discover looks for it"
+)
+
+
+def _of_its_own(problem: Problem) -> bool:
+    """Whether a model of the user's own was fitted to its errors one step ahead."""
+    one_step = problem.predictor.one_step is problem.predictor
+    return one_step and physics_of(problem.dynamics) is None
+
+
+def _bound_warnings(estimates: Mapping[str, Estimate], dynamics: Dynamics) -> list[str]:
+    own = own_parameters(dynamics)
     advice = "check the vehicle file or the effect list"
+    if physics_of(dynamics) is None:
+        advice = (
+            "are its bounds and its prior right (unit, sign)? Else the model lacks a term, and the "
+            "other numbers bear it"
+        )
     noise = "these flights do not show how long such noise lasts, and nothing else depends on it"
     return [
         f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; {advice if n in own else noise}"

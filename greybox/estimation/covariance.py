@@ -118,9 +118,13 @@ def scaled_inverse(h: FloatArray) -> tuple[FloatArray, BoolArray]:
     if not h.size:
         return np.zeros_like(h), np.zeros(0, dtype=bool)
     size, value, vector = scaled_eigen(h)
-    good = value > NULL_SHARE * max(value[-1], 1e-300)
-    inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(size, size)
-    empty = np.asarray((np.abs(vector[:, ~good]) > 0.05).any(axis=1))
+    least = NULL_SHARE * max(value[-1], 1e-300)
+    good = value > least
+    known = (vector[:, good] / value[good]) @ vector[:, good].T
+    # Known to no more than `least`, the null space would move these further than all else does: its
+    # share of an unknown does not say so, for one that is poorly known has a small one.
+    unseen = np.square(vector[:, ~good]).sum(axis=1) / least
+    inverse, empty = known / np.outer(size, size), np.asarray(unseen > np.diag(known))
     return inverse, empty
 
 

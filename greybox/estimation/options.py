@@ -18,6 +18,7 @@ from greybox.estimation.criterion import Criterion
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.prior import Prior, demand_priors
 from greybox.estimation.solver import Solver
+from greybox.takes import SEED
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -246,13 +247,15 @@ def chosen(kind: str, options: Options, choices: Mapping[str, object]) -> Option
     """A frozen record of options with some `choices` in place of its own.
 
     `kind` is what one of them is called. Raises `UnknownNameError` with the nearest names for a
-    choice that is no field.
+    choice that is no field, and `GreyboxError` for a seed that is none.
     """
     known = [f.name for f in fields(options)]
     for name in choices:
         if name not in known:
             raise UnknownNameError(kind, name, known)
-    return replace(options, **choices)
+    made = replace(options, **choices)
+    SEED.taken("seed", getattr(made, "seed", 0))
+    return made
 
 
 def says_choices(record: type[DataclassInstance]) -> Callable[[F], F]:

@@ -13,6 +13,7 @@ j, so that a delay is an interpolation of the record and not a state. A model wi
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -134,6 +135,28 @@ class Dynamics(Protocol):
         (n_e)."""
 
 
+@dataclass(frozen=True)
+class Called:
+    """A CasADi `function` of (t, x, u, p) as a user's own is written: p by name."""
+
+    function: ca.Function
+    names: tuple[str, ...]
+
+    def __call__(self, t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> Expr:
+        """Its value, a vector."""
+        out: Expr = self.function(t, x, u, ca.vertcat(*(p[n] for n in self.names)))
+        return out
+
+
+def _has_a_place(function: object) -> bool:
+    """Whether another process finds a function of the user's own by its name."""
+    try:
+        pickle.dumps(function)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return False
+    return True
+
+
 @dataclass(frozen=True, kw_only=True)
 class StateSpaceModel:
     """A model of the user's own: CasADi f and h with declared parameters, all states plain numbers
@@ -196,6 +219,19 @@ class StateSpaceModel:
     def __hash__(self) -> int:
         """Of the declarations that can be hashed: equal models have equal ones."""
         return hash((self.name, self.parameters, self.dynamics, self.measurement))
+
+    def __getstate__(self) -> dict[str, object]:
+        """With the equations of functions that another process does not find (lambdas, those
+        within a function)."""
+        state = dict(vars(self))
+        t, sizes = ca.SX.sym("t"), (len(self.states), len(self.inputs), len(self.parameters))
+        x, u, p = (ca.SX.sym(n, size) for n, size in zip("xup", sizes, strict=True))
+        names = tuple(d.name for d in self.parameters)
+        for part, value in (("dynamics", self.f), ("measurement", self.h)):
+            if not _has_a_place(state[part]):
+                function = ca.Function(part, [t, x, u, p], [value(t, x, u, p)])
+                state[part] = Called(function, names)
+        return state
 
     def _named(self, p: Expr) -> dict[str, Expr]:
         return {d.name: p[i] for i, d in enumerate(self.parameters)}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
-from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +18,7 @@ import casadi as ca
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import Json, Parsed
-from greybox.model.dynamics import StateSpaceModel
+from greybox.model.dynamics import Called, StateSpaceModel
 from greybox.model.effect_check import failed
 from greybox.model.expressions import read_function, write_function
 from greybox.model.parameter import Parameter
@@ -150,15 +149,15 @@ def own_from_dict(data: Parsed, *, where: str = "model") -> StateSpaceModel:
             wanted = [1, len(layouts["states"]), len(layouts["inputs"]), len(parameters)]
             if shapes != wanted or functions[part].numel_out(0) != len(layouts[size]):
                 raise ValueError(f"{part} takes {shapes}, expected {wanted}")
-        order = [d.name for d in parameters]
+        order = tuple(d.name for d in parameters)
         return StateSpaceModel(
             name=str(data["name"]),
             states=layouts["states"],
             inputs=layouts["inputs"],
             outputs=layouts["outputs"],
             parameters=parameters,
-            dynamics=_called(functions["dynamics"], order),
-            measurement=_called(functions["measurement"], order),
+            dynamics=Called(functions["dynamics"], order),
+            measurement=Called(functions["measurement"], order),
             noise_states=tuple(data["noise_states"]),
             discrete=bool(data["discrete"]),
             substeps=int(data["substeps"]),
@@ -176,16 +175,6 @@ def own_from_dict(data: Parsed, *, where: str = "model") -> StateSpaceModel:
 
 def _numbers(values: Parsed | None) -> dict[str, float] | None:
     return None if values is None else {str(k): float(v) for k, v in values.items()}
-
-
-def _called(function: ca.Function, names: list[str]) -> Callable[..., Expr]:
-    """The function of a file as the user's own was: (t, x, u, p by name) -> vector."""
-
-    def value(t: Expr, x: Expr, u: Expr, p: Mapping[str, Expr]) -> Expr:
-        out: Expr = function(t, x, u, ca.vertcat(*(p[n] for n in names)))
-        return out
-
-    return value
 
 
 def same_model(one: StateSpaceModel, other: StateSpaceModel) -> bool:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -168,6 +168,17 @@ class GPPosterior(AsFunction, Shown):
             raise ModelError(
                 "GPPosterior: scales must be positive and noise variances not negative"
             )
+
+    def __getstate__(self) -> dict[str, object]:
+        """The numbers, so that a model with a learned part can be pickled, copied and sent to
+        another process."""
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return given | {"group_noise": dict(self.group_noise)}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
 
     # --------------------------------------------------------------------------------- predictions
 

@@ -37,7 +37,8 @@ def main() -> None:
         lambda x, u: stage_cost(model, task, x, u),
         lambda x: final_cost(model, task, x),
     )
-    inputs = np.asarray(ocp.solve().sample(u, grid="control")[1])[: task.steps]
+    sampled = ocp.solve().sample(u, grid="control")[1]  # (n,) of one command
+    inputs = np.reshape(sampled, (-1, len(model.inputs)))[: task.steps]
     difference = float(np.abs(inputs - solve(model, task)[1]).max())
     if arguments.json:
         print(json.dumps({"inputs": inputs.tolist(), "difference": difference}))

@@ -4,12 +4,14 @@ clock is the same flight, to teach by and to judge by."""
 from __future__ import annotations
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+import greybox as gb
 from greybox.data import Dataset
 from greybox.data.conditioning import condition
 from greybox.data.fingerprint import fingerprint, of_one_flight
@@ -19,6 +21,7 @@ from greybox.data.raw import RawLog
 from greybox.errors import DataError
 from greybox.examples import flight_path, flight_paths, vehicle_path
 from greybox.model.vehicle import read_vehicle
+from tests import motor
 
 SET, NAME, OTHER = "nanobench", "B2_circle_medium_rep1", "B3_figure8_fast_rep1"
 VEHICLE = read_vehicle(vehicle_path(SET))
@@ -206,3 +209,29 @@ def test_a_slow_gyro_that_a_table_carries_on_is_known():
     whole = dict(zip("pqr", np.repeat(rates, 20, axis=1), strict=True))
     part = {n: v[20_000:40_000] for n, v in whole.items()}
     assert of_one_flight(fingerprint(whole), fingerprint(part))
+
+
+def heated(seed: int, digit: float) -> dict[str, np.ndarray]:
+    """A bench that is heated: every run has the same input, and rises alike."""
+    t, rng = 0.02 * np.arange(1_000), np.random.default_rng(seed)
+    rise = 20.0 + 5.0 * (1.0 - np.exp(-np.maximum(t - 1.0, 0.0) / 4.0))
+    warm = digit * np.rint((rise + 0.02 * rng.standard_normal(t.size)) / digit)
+    return {"power": (t > 1.0) * 1.0, "warm": warm}
+
+
+@pytest.mark.parametrize("digit", [1e-6, 0.01, 0.1])
+def test_a_log_of_something_else_is_known_by_all_its_columns(digit):
+    log, again = heated(0, digit), {c: np.char.mod("%.6e", v) for c, v in heated(0, digit).items()}
+    mark = fingerprint(log)
+    assert of_one_flight(mark, fingerprint({c: v.astype(float) for c, v in again.items()}))
+    for seed in range(1, 8):
+        assert not of_one_flight(mark, fingerprint(heated(seed, digit)))
+
+
+def test_a_model_of_something_else_knows_a_flight_that_it_was_fitted_on():
+    one, seen = motor.record(torque_noise=0.002), "the flights that were fitted"
+    fitted = gb.fit(motor.model(), one).model
+    copy = Dataset(flights=(replace(one.flights[0], name="other"),))
+    another = motor.record(torque_noise=0.002, seed=9, name="other")
+    assert gb.validate(fitted, copy).verdict.judged_on == seen
+    assert gb.validate(fitted, another).verdict.judged_on != seen

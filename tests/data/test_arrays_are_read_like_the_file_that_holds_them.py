@@ -89,6 +89,9 @@ def test_samples_on_a_uniform_clock_stay_as_they_are():
     ("t", "channels", "words"),
     [
         (T[::-1], {"p": T}, "time goes back"),
+        (np.r_[T, T], {"p": np.r_[T, T]}, "another flight begins there"),
+        ((1.7e9 + T).astype(np.float32), {"p": T}, "float32"),
+        ((1.7e9 + T).astype(int), {"p": T}, "whole seconds"),
         (np.r_[T[:-1], T[-2]], {"p": T}, "the same time stamp twice"),
         (T**2, {"voltage": T}, "none of voltage is a channel"),
         (T**2, {"p": np.full(T.size, np.inf)}, "infinite"),

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.data import Dataset
+from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery import workflow
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
@@ -204,3 +204,38 @@ def test_a_unit_of_a_file_never_becomes_code(unit: str, capsys: pytest.CaptureFi
     with pytest.raises(ModelError, match="cannot stand in a program"):
         own_law_text(law, 1)
     assert capsys.readouterr().out == ""
+
+
+@functools.cache
+def geared(seed: int, play: float) -> Dataset:
+    """The motor drives a second mass through a gear with play [rad], of which no state is told."""
+    rng, fine = np.random.default_rng(seed), 40
+    u = np.repeat(rng.uniform(-6, 6, 20), 50)
+    h, (i, w, load, twist) = 0.005 / fine, (0.0, 0.0, 0.0, 0.0)
+    rows = []
+    for volt in u:
+        rows.append((i + 0.05 * rng.standard_normal(), w + 1.0 * rng.standard_normal()))
+        for _ in range(fine):
+            beyond = twist - np.clip(twist, -play, play)
+            torque = 30.0 * beyond + 0.02 * (w - load) * (beyond != 0.0)
+            i += h * (volt - 1.2 * i - 0.05 * w) / 0.02
+            w += h * (0.05 * i - 1e-4 * w - torque) / 1e-4
+            load += h * (torque - 1e-4 * load) / 2e-4
+            twist += h * (w - load)
+    current, speed = np.array(rows).T
+    t = 0.005 * np.arange(u.size)
+    channels = {"u": u, "current": current, "speed": speed}
+    return dataset_from_arrays(t, channels, name=f"{seed}")
+
+
+@pytest.mark.parametrize("play", [0.0, 0.3])
+def test_what_has_states_of_its_own_is_not_nothing(play: float) -> None:
+    """No law of the states tells the play of a gear, nor does a push that lasts."""
+    train = geared(1, play) + geared(2, play)
+    found = discover(candidates(), train, geared(3, play), per_flight=())
+    assert found.fit is not None
+    white = play == 0.0
+    assert found.line.startswith("NOTHING MISSING") == white
+    assert (found.verdict == "nothing_missing") == white
+    assert ("NOT WHITE" in found.line) != white
+    assert any("one-step errors are not white" in w for w in found.fit.warnings) != white

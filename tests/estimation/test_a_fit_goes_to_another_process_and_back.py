@@ -7,12 +7,14 @@ import copy
 import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from greybox import build_model, fit, profile
 from greybox.estimation.result import Fit
+from tests import motor
 from tests.simulated import flights, vehicle
 
 FEW = {"free": ("motor_lag.tau", "thrust.c2"), "estimate_noise": False, "disturbance": ("torque",)}
@@ -56,6 +58,17 @@ def test_what_was_worked_out_is_no_obstacle(found):
     space = found.problem
     assert space.index and space.bodies is not None
     assert pickle.loads(pickle.dumps(space)).index == space.index
+
+
+def test_a_fit_of_equations_without_a_name_goes_too():
+    """Lambdas, and functions within one, are found by no other process: their equations go."""
+    named = motor.model()
+    nameless = replace(named, dynamics=lambda t, x, u, p: named.dynamics(t, x, u, p))
+    first = fit(nameless, motor.record(), free=["R"], estimate_noise=False)
+    again = pickle.loads(pickle.dumps(first))
+    assert same(again, first)
+    assert again.problem.evaluate(again.theta).cost == first.problem.evaluate(first.theta).cost
+    assert pickle.loads(pickle.dumps(named)).dynamics is named.dynamics
 
 
 def test_a_copy_can_be_profiled(found):

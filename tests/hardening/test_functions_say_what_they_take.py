@@ -17,6 +17,9 @@ from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.result import ByName
 from greybox.examples import flight_path, vehicle_path
+from greybox.model.linear import LinearModel
+from greybox.model.matrices import Matrices
+from greybox.symbolic import Layout, Signal
 from greybox.takes import COUNT, NAMES, NUMBERS, takes
 from tests.residual.hybrid_cases import craft, craft_model
 
@@ -25,6 +28,15 @@ DATA = gb.dataset_from_arrays(T, {"p": T, "u1": T}, name="a")
 OTHER = gb.dataset_from_arrays(T, {"p": T, "u1": T}, name="b")
 VEHICLE = gb.read_vehicle(vehicle_path("arpl_crazyflie"))
 MODEL = craft_model(craft())
+ONE = np.eye(1)
+LINEAR = LinearModel(
+    name="lag",
+    matrices=Matrices(0.9 * ONE, ONE, ONE, 0.0 * ONE, 0.1 * ONE),
+    noise=ONE,
+    dt=0.01,
+    inputs=Layout([Signal(name="u1", unit="1")]),
+    outputs=Layout([Signal(name="p", unit="rad/s")]),
+)
 FLIGHTS = "takes flights"
 A_MODEL = "takes a model of fit, discover or learn"
 A_VEHICLE = "takes a vehicle"
@@ -87,6 +99,15 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
         r"fixed takes a list of names; got 'mass'.*fixed=\['mass'\]",
     ),
     "probability": (lambda: gb.discover(VEHICLE, DATA, alpha=2.0), "alpha .* between 0 and 1"),
+    "a search in processes by name": (
+        lambda: gb.discover(VEHICLE, DATA, executor="processes"),
+        "executor takes an executor; got 'processes'.*ProcessPoolExecutor",
+    ),
+    "a seed of a fit": (lambda: gb.fit(VEHICLE, DATA, seed=np.random.default_rng(0)), "seed takes"),
+    "a seed of a search": (lambda: gb.discover(VEHICLE, DATA, seed="a"), "from 0 on; got 'a'"),
+    "a seed below zero": (lambda: gb.learn(MODEL, DATA, seed=-1), "from 0 on; got -1"),
+    "half a seed": (lambda: gb.twin(MODEL, draws=2, seed=1.5), "from 0 on; got 1.5"),
+    "a seed with a point": (lambda: gb.learn(MODEL, DATA, seed=3.0), "from 0 on; got 3.0"),
     "one input": (lambda: gb.frf(DATA, "roll", ["p"]), r"inputs=\['roll'\]"),
     "filter of a vehicle": (lambda: Filter(VEHICLE), f"model {A_MODEL}"),
     "filter a flight": (
@@ -96,6 +117,10 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "more than flights": (lambda: DATA + {}, FLIGHTS),
     "segments as flights": (lambda: Dataset(flights=DATA.segments), "takes a list of Flights"),
     "one flight by name": (lambda: DATA.select("a"), r"names=\['a'\]"),
+    "validate a linear model": (lambda: gb.validate(LINEAR, DATA), f"model {A_MODEL}.*its own fit"),
+    "learn on a linear model": (lambda: gb.learn(LINEAR, DATA), "fit_output_residual"),
+    "a plan for a linear model": (lambda: gb.plan(model=LINEAR), f"model {A_MODEL}"),
+    "a twin of a linear model": (lambda: gb.twin(LINEAR), f"model {A_MODEL}.*got LinearModel"),
     "a twin of a vehicle": (lambda: gb.twin(VEHICLE), f"model {A_MODEL}"),
 }
 

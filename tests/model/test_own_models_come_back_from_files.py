@@ -7,7 +7,10 @@ wrong with it is one line.
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -41,6 +44,25 @@ def test_every_kind_of_operation_comes_back_bit_by_bit() -> None:
     for point in np.random.default_rng(0).uniform(0.1, 2, (20, 5)):
         for a, b in zip(f(point[:3], point[3:]), back(point[:3], point[3:]), strict=True):
             assert np.array_equal(a.full(), b.full())
+
+
+@pytest.mark.parametrize("copied", [lambda m: pickle.loads(pickle.dumps(m)), copy.deepcopy])
+def test_what_comes_back_goes_to_another_process(copied, fitted: Fit, tmp_path: Path) -> None:
+    back = load_model(save_model(fitted.model, tmp_path / "model.json"))
+    again = copied(back)
+    assert again.to_dict() == back.to_dict()
+    other = motor.record(seed=4, name="other")
+    assert gb.validate(again, other).table_text() == gb.validate(back, other).table_text()
+
+
+def test_a_bound_of_an_own_model_is_no_matter_of_a_vehicle_file() -> None:
+    model = motor.model()
+    few = tuple(
+        replace(p, lower=2.0, nominal=2.5) if p.name == "R" else p for p in model.parameters
+    )
+    found = gb.fit(replace(model, parameters=few), motor.record())
+    (said,) = (w for w in found.warnings if "R is at its bound 2 ohm" in w)
+    assert "its prior" in said and "vehicle" not in said
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.model.dynamics import Dynamics
+from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
 from greybox.model.noise import Coloured, LowPass, with_disturbance, with_parts
+from greybox.model.parameter import Parameter, ParameterValues
 from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import Layout, Signal
 from tests.residual import hybrid_cases
@@ -87,6 +88,35 @@ def linear(delays: tuple[int, ...] = (2, 0)) -> LinearModel:
         delays=delays,
         input_offset=np.array([0.5, -0.2]),
         output_offset=np.array([1.0, 2.0]),
+    )
+
+
+def own() -> IdentifiedModel:
+    """A user's own cart of one command; names that differ in letters alone."""
+    dynamics = StateSpaceModel(
+        name="cart",
+        states=Layout([Signal(name="V", unit="m/s"), Signal(name="v", unit="m/s")]),
+        inputs=Layout([Signal(name="u", unit="V")]),
+        outputs=Layout([Signal(name="v", unit="m/s")]),
+        parameters=(
+            Parameter(name="M", unit="kg", nominal=2.0),
+            Parameter(name="m", unit="kg/s", nominal=0.5),
+        ),
+        dynamics=lambda t, x, u, p: [(u[0] - p["m"] * x[0]) / p["M"], 5.0 * (x[0] - x[1])],
+        measurement=lambda t, x, u, p: [x[1]],
+    )
+    return IdentifiedModel(
+        dynamics=dynamics,
+        values=ParameterValues({"M": 2.0, "m": 0.5}),
+        process_noise=np.array([0.05, 0.05]),
+        sensor_noise=np.array([0.01]),
+        weak=np.full(2, 1e3),
+        reference_state=np.zeros(2),
+        reference_inputs=np.zeros(1),
+        sample_time=0.02,
+        covariance_names=("M", "m"),
+        covariance=np.diag([1e-4, 1e-4]),
+        domain={"u": (-1.0, 1.0), "v": (-2.0, 2.0)},
     )
 
 

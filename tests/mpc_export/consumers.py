@@ -54,12 +54,18 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 @functools.cache
 def bundle(kind: str) -> Path:
     """A bundle with every target: "physics" has its mass as run-time parameter, "hybrid" a learned
-    part."""
-    model = {"physics": cases.physics, "hybrid": cases.hybrid, "linear": cases.linear}[kind]()
+    part, "own" one command."""
+    model = {
+        "physics": cases.physics,
+        "hybrid": cases.hybrid,
+        "linear": cases.linear,
+        "own": cases.own,
+    }[kind]()
     targets = {
         "physics": ("acados", "do-mpc", "rockit", "fmu"),
         "hybrid": ("acados", "do-mpc", "rockit", "fmu", "l4acados"),
         "linear": ("do-mpc", "rockit"),
+        "own": ("do-mpc", "rockit"),
     }[kind]
     place = Path(_folder().name) / kind
     runtime = ("mass",) if kind == "physics" else ()

@@ -14,7 +14,7 @@ import mpc_export
 from mpc_export.c_code import RESTRICT, single_precision, write_c
 from mpc_export.c_kernels import kernels_of
 from mpc_export.c_kernels_products import PRODUCTS
-from mpc_export.c_model import CModel
+from mpc_export.c_model import CModel, identifiers
 from mpc_export.c_text import compared
 from mpc_export.functions import model_functions
 from mpc_export.golden import golden_vectors
@@ -76,6 +76,29 @@ def test_wrapper_and_self_test(functions, tmp_path, compiler):
     CModel(functions, made, "0", golden).write(tmp_path)
     for name in ("quad_model.c", "quad_selftest.c"):
         assert complaints(tmp_path / name, compiler, *WARNINGS) == ""
+
+
+@pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
+def test_names_that_differ_in_letters_alone(tmp_path, compiler):
+    own = model_functions(cases.own(), with_=("covariance",))
+    made = write_c(list(own.functions.values()), tmp_path, prefix="cart", kernels=kernels_of(own))
+    CModel(own, made, "0", golden_vectors(own, 2)).write(tmp_path)
+    assert complaints(tmp_path / "cart_model.c", compiler, *WARNINGS) == ""
+    header = (tmp_path / "cart_model.h").read_text()
+    assert {"CART_THETA_M 0", "CART_THETA_m 1", "CART_X_V 0", "CART_X_v 1", "CART_Y_V 0"} <= set(
+        re.findall(r"#define (\w+ \d)\b", header)
+    )
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("M", "m"), ("a.b", "a_b", "A_B"), ("τ", "θ", "0"), ("a", "A", "a_0", "A_0", "a 0", "A 0")],
+)
+def test_every_name_has_a_macro_of_its_own(names):
+    macros = identifiers(names)
+    assert len({*macros}) == len(names)
+    assert all(re.fullmatch(r"\w+", m, re.ASCII) for m in macros)
+    assert identifiers(("p", "u1[t-1]")) == ["P", "U1_T_1"]
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 from tests.mpc_export import consumers
 
 
-@pytest.mark.parametrize("kind", ["hybrid", "linear"])
+@pytest.mark.parametrize("kind", ["hybrid", "linear", "own"])
 @consumers.needs("rockit")
 def test_rockit_agrees_with_ipopt(kind):
     got = consumers.run(kind, "rockit_hover.py", "--steps", "10")

@@ -3,7 +3,9 @@ one line."""
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -35,6 +37,15 @@ def test_json_and_npz(posterior, tmp_path):
     first = (tmp_path / "gp.npz").read_bytes()
     posterior.save(path)
     assert (tmp_path / "gp.npz").read_bytes() == first
+
+
+@pytest.mark.parametrize("copied", [lambda p: pickle.loads(pickle.dumps(p)), copy.deepcopy])
+def test_a_copy_for_another_process(copied, posterior):
+    again = copied(posterior)
+    same(posterior, again)
+    assert again.group_noise.keys() == posterior.group_noise.keys()
+    with pytest.raises(ValueError, match="read-only"):
+        again.weights[0] = 0.0
 
 
 def test_one_dictionary(posterior):

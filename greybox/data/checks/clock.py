@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.checks.finding import Check, Finding, per_flight
 from greybox.data.checks.view import View
-from greybox.data.clock import UNIT, backward_rows, no_flight_log
+from greybox.data.clock import GOES_BACK, STANDS_STILL, UNIT, backward_rows, no_flight_log
 
 JITTER = 0.6
 """Range of the steps, as a share of the sample time, from which resampling is worth a warning."""
@@ -19,9 +19,9 @@ def run(view: View) -> Iterator[Finding]:
     raw = view.raw
     bad = backward_rows(raw.t)
     steps = np.diff(raw.t)
-    for what, count, text in (
-        ("repeated", int((steps == 0).sum()), "the same time stamp comes twice"),
-        ("backward", int((steps < 0).sum()), "time goes back"),
+    for what, count, text, fix in (
+        ("repeated", int((steps == 0).sum()), "the same time stamp comes twice", STANDS_STILL),
+        ("backward", int((steps < 0).sum()), "time goes back", GOES_BACK),
     ):
         if count:
             k = int(bad[np.flatnonzero((steps[bad - 1] == 0) == (what == "repeated"))[0]])
@@ -36,7 +36,7 @@ def run(view: View) -> Iterator[Finding]:
                     "first_row": int(raw.rows[k]),
                     "step_s": float(steps[k - 1]),
                 },
-                fix="sort the log by time or drop the repeated rows",
+                fix=fix,
             )
     if view.clock is None:
         return
