@@ -91,7 +91,7 @@ def test_without_test_flights_it_is_judged_on_the_same_pieces_with_the_same_firs
     folder, monkeypatch, capsys
 ):
     monkeypatch.chdir(folder)
-    plain = "fit --vehicle v.toml --train a.csv b.csv --out alone --seed 3"
+    plain = "fit --vehicle v.toml --train a.csv --out alone --seed 3"
     assert main(plain.split()) == 0
     said = capsys.readouterr().out.splitlines()[0]
     words = shlex.split(read(folder / "alone" / "fit.json")["explicit"]["command"])
