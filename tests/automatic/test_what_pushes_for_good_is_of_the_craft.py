@@ -196,6 +196,7 @@ def _sharper(found: Fit) -> dict[str, Estimate]:
     return {n: replace(e, std=0.1 * e.std) for n, e in found.parameters.items()}
 
 
+@pytest.mark.slow
 def test_a_change_that_is_told_in_one_flight_is_found_in_another() -> None:
     """By the likelihood, which knows the place to a few samples; in flights without one it is
     nowhere."""

@@ -349,6 +349,7 @@ def test_it_keeps_the_wall_and_its_commands_their_limits(tmp_path):
     assert not any(said & 256 for said in made.said)
 
 
+@pytest.mark.slow
 def test_a_model_that_runs_away_at_hover_is_refused():
     own = pilot_of(cases.hybrid(points=50), Still((0.0, 0.0, 1.0, 0.0)))
     with pytest.raises(ModelError, match="hovers calmly"):
