@@ -66,7 +66,7 @@ def test_clocks_of_a_smooth_circle_do_not_wander(seed: int) -> None:
     assert any("change too little" in u.reason for u in report.not_judged)
 
 
-@pytest.mark.parametrize("every", [1, 2, 3])
+@pytest.mark.parametrize("every", [1, 3, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "noise", [(0.002, 0.015), pytest.param((0.001, 0.005), marks=pytest.mark.slow)]
 )

@@ -287,6 +287,7 @@ def test_the_result_is_valid_and_the_coverage_of_the_true_model_is_honest() -> N
         model,
         dataset(fly(model, 900, noise=1.0)),
         adapt=1.0,
+        every=4,
         measured_start=True,
         use_compiler=False,
     )
