@@ -87,6 +87,7 @@ def test_the_script_says_the_explicit_command_and_hands_on_what_is_added(folder)
     assert said.splitlines() == [*shlex.split(command)[1:], "--out", "elsewhere"]
 
 
+@pytest.mark.slow
 def test_without_test_flights_it_is_judged_on_the_same_pieces_with_the_same_first_line(
     folder, monkeypatch, capsys
 ):

@@ -215,6 +215,7 @@ def test_a_change_that_is_told_in_one_flight_is_found_in_another() -> None:
             assert begin == pytest.approx(start[0] + WHEN, abs=0.05)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_missing_is_no_change_of_the_craft() -> None:
     found, data = fast(2e-3)
     told = with_lasting(found, data)

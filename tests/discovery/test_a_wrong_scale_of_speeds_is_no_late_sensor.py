@@ -22,12 +22,9 @@ def flown(*effects: PlantEffect, seeds: tuple[int, ...], name: str) -> Dataset:
     return discovery_cells.dataset(discovery_cells.logs(plant(*effects), seeds, 4.0), name, ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("rivals", "seeds"),
-    [
-        (("sensor_delay",), (1,)),
-        pytest.param(("pose_delay", "sensor_delay"), (1, 2), marks=pytest.mark.slow),
-    ],
+    ("rivals", "seeds"), [(("sensor_delay",), (1,)), (("pose_delay", "sensor_delay"), (1, 2))]
 )
 def test_speeds_that_are_five_per_cent_too_large_name_nothing(
     rivals: tuple[str, ...], seeds: tuple[int, ...], monkeypatch: pytest.MonkeyPatch

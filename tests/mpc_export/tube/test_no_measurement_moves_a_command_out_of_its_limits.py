@@ -116,6 +116,7 @@ def judged(command: list[str], steps: int, seed: int) -> None:
     assert back == of
 
 
+@pytest.mark.slow
 def test_plans_in_c_keep_their_limits(tmp_path):
     judged(program(tmp_path, ("-std=c99", "-O0")), 1500, 1)
 
