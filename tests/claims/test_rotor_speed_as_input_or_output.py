@@ -124,11 +124,12 @@ def test_speeds_beside_commands_may_be_late(late: float) -> None:
         assert without["command_delay.d"].value > true["command_delay.d"] + 0.5 * late
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seeds", "without"),
     [
         ((5,), ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz")),
-        pytest.param((5, 6), (), marks=pytest.mark.slow),
+        ((5, 6), ()),
     ],
     ids=["one flight of an IMU", "two flights with their pose"],
 )
