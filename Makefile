@@ -3,7 +3,7 @@
 #             either takes one and a half to four minutes on two idle cores, as these are fast or slow
 # make test   own environment, install, lint, type check, the quick tests
 # make test-long   whole commands, fits, searches and exports: the other half of what every change is held against
-# make test-slow   the long studies (hours are not needed; minutes are)
+# make test-slow   the long studies, and the other cases of what one case holds in the two above
 # make test-releases   wheel and sdist in clean environments on Python 3.11 to 3.13 (PYTHONS="/path/python3.12 ..."),
 #             oldest and newest versions of what they need; about twenty minutes, asks PyPI
 # make site   the documentation as pages with search, in site/

@@ -31,7 +31,10 @@ LONG = (
     "simulators/",
 )
 """Folders and files that take many seconds (`python -m pytest --durations=0 PATH` tells them): whole
-commands, fits, searches, exports and flights. `make test` leaves them to `make test-long`."""
+commands, fits, searches, exports and flights. `make test` leaves them to `make test-long`.
+
+Both together are the gate, which takes less than fifteen minutes on two cores: a claim has its most
+telling small case there, and what varies it is marked `slow`."""
 
 
 def is_long(path: Path) -> bool:

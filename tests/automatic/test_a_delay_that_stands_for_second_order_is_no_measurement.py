@@ -48,7 +48,7 @@ def test_the_errors_hold_both_though_both_are_wrong(of_second_order):
         assert abs(estimate.value - true) < 2 * estimate.std
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.018])
+@pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.slow), 0.018])
 def test_a_delay_that_is_there_is_one(delay):
     found = told(MotorLag(tau=0.03), CommandDelay(d=delay))
     assert "motor_lag_second" not in found.covariance.form

@@ -45,6 +45,7 @@ def test_the_command_says_it_and_the_verdict_names_it(folder, monkeypatch, capsy
     assert "faulty: " in content["verdict"]["reason"]
 
 
+@pytest.mark.slow
 def test_so_does_fit_in_python(folder):
     vehicle = gb.read_vehicle(folder / "v.toml")
     train, test = (gb.read_logs([folder / f"{n}.csv"], vehicle) for n in ("sound", "faulty"))

@@ -32,7 +32,7 @@ def faster(log, factor: int):
     return replace(log, t=t, channels=channels, rows=np.arange(1, t.size + 1, dtype=np.int64))
 
 
-@pytest.mark.parametrize("slower", [1.0004, 1.004])
+@pytest.mark.parametrize("slower", [pytest.param(1.0004, marks=pytest.mark.slow), 1.004])
 def test_sample_times_that_differ_a_little_are_no_obstacle(slower):
     a, b = logs(1, 2)
     ready = prepare(vehicle(), [a, replace(b, t=b.t * slower)])

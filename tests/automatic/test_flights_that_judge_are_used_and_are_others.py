@@ -31,8 +31,9 @@ def model(sets):
 def test_an_explicit_fit_is_judged_on_the_flights_to_test(sets, model):
     train, test = sets
     found = fit(model, train, test=test["run1"])
-    again = validate(fit(model, train).model, test)
-    assert fit(model, train).verdict is None
+    alone = fit(model, train)
+    again = validate(alone.model, test)
+    assert alone.verdict is None
     assert found.verdict == again.verdict
     assert found.verdict.flights == ("run1",)
     assert found.verdict.outcome in (Outcome.USABLE, Outcome.NOT_USABLE)

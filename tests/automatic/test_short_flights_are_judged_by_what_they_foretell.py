@@ -25,8 +25,9 @@ def seconds(data: Dataset, begin: float, length: float) -> Dataset:
 
 def test_the_shortest_flight_leaves_a_piece_whose_score_has_an_error() -> None:
     data = simulated.flights(1, 6.0)
+    some = seconds(data, 0.0, 2.0)
     model = gb.fit(
-        gb.build_model(simulated.vehicle(), data.channels, ("motor_lag",)), data, use_compiler=False
+        gb.build_model(simulated.vehicle(), data.channels, ("motor_lag",)), some, use_compiler=False
     ).model
     parts = first_parts(seconds(data, 0.0, SHORTEST + 0.02))
     assert parts is not None

@@ -87,11 +87,12 @@ def test_the_script_says_the_explicit_command_and_hands_on_what_is_added(folder)
     assert said.splitlines() == [*shlex.split(command)[1:], "--out", "elsewhere"]
 
 
+@pytest.mark.slow
 def test_without_test_flights_it_is_judged_on_the_same_pieces_with_the_same_first_line(
     folder, monkeypatch, capsys
 ):
     monkeypatch.chdir(folder)
-    plain = "fit --vehicle v.toml --train a.csv b.csv --out alone --seed 3"
+    plain = "fit --vehicle v.toml --train a.csv --out alone --seed 3"
     assert main(plain.split()) == 0
     said = capsys.readouterr().out.splitlines()[0]
     words = shlex.split(read(folder / "alone" / "fit.json")["explicit"]["command"])

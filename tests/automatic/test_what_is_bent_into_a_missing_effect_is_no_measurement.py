@@ -134,6 +134,7 @@ def test_a_fit_that_is_no_minimum_of_the_likelihood_stays_as_it_is(damped):
     assert with_rivals(other, data) is other
 
 
+@pytest.mark.slow
 def test_the_command_says_it_below_the_reasons_of_its_verdict(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, columns in zip("ab", flown(damping=DAMPING), strict=True):

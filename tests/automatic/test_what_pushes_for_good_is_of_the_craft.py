@@ -50,9 +50,14 @@ WHEN = 9.0
 COMMANDS = ("u1", "u2", "u3", "u4")
 
 
-@functools.cache
 def fitted(lost: tuple[str, ...] = (), seed: int = 1) -> tuple[Fit, Dataset]:
     """Two flights in gusts, where the thrust of the rotors that are `lost` falls; the plain fit."""
+    return _fitted(lost, seed)
+
+
+@functools.cache
+def _fitted(lost: tuple[str, ...], seed: int) -> tuple[Fit, Dataset]:
+    """However they are asked for, one fit."""
     calm = x250().process
     plant = x250(process=replace(calm, drift_force=0.1 * 2**0.5, drift_time=1.0))
     data = flown(plant, RandomWaypoints(), 15.0, seed, lost)
@@ -137,6 +142,7 @@ def test_thrust_that_is_lost_in_flight_is_told_with_its_time_and_size() -> None:
     assert told.summary().count(line) == 1
 
 
+@pytest.mark.slow
 def test_a_rotor_that_is_lost_in_part_is_told_by_its_torque() -> None:
     found, data = fitted(("u1",))
     (change,) = changes(seen_in(found, data))
@@ -190,6 +196,7 @@ def _sharper(found: Fit) -> dict[str, Estimate]:
     return {n: replace(e, std=0.1 * e.std) for n, e in found.parameters.items()}
 
 
+@pytest.mark.slow
 def test_a_change_that_is_told_in_one_flight_is_found_in_another() -> None:
     """By the likelihood, which knows the place to a few samples; in flights without one it is
     nowhere."""
@@ -208,6 +215,7 @@ def test_a_change_that_is_told_in_one_flight_is_found_in_another() -> None:
             assert begin == pytest.approx(start[0] + WHEN, abs=0.05)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_missing_is_no_change_of_the_craft() -> None:
     found, data = fast(2e-3)
     told = with_lasting(found, data)
@@ -219,6 +227,7 @@ def test_an_effect_that_is_missing_is_no_change_of_the_craft() -> None:
     assert step.startswith("next: greybox discover") and "flies otherwise" in reason
 
 
+@pytest.mark.slow
 def test_the_ground_that_is_left_is_no_change_of_the_craft() -> None:
     """It is gone within an arm or two of a climb of many."""
     plant = x250([GroundEffect(rotor_radius=0.12, k=3.0)])
@@ -228,6 +237,7 @@ def test_the_ground_that_is_left_is_no_change_of_the_craft() -> None:
     assert changed and all(c.flown for c in changed)
 
 
+@pytest.mark.slow
 def test_thrust_that_is_lost_before_the_flight_gets_fast_is_of_the_craft() -> None:
     """A good second at rest tells it; what comes with the speed would not."""
     found, data = fast(0.0, COMMANDS)
@@ -251,7 +261,7 @@ def test_a_drift_that_goes_with_the_motion_is_no_battery() -> None:
         assert bool(said.flown) is flown_so and bool(said.drifts) is not flown_so
 
 
-@pytest.mark.parametrize("seed", [1, 3, 5])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (3, 5))])
 def test_in_gusts_nothing_is_said_and_no_error_changes(seed: int) -> None:
     found, data = fitted(seed=seed)
     assert with_lasting(found, data) is found

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from greybox import build_model, dataset_from_arrays, fit
+from greybox.data import Dataset
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.plants.effects.rotor_speed_delay import RotorSpeedDelay
@@ -102,7 +103,9 @@ def late_log(late: float, seed: int) -> dict[str, np.ndarray]:
     return dict(fly(true_plant, controller_for(true_plant), reference, pushed, 8.0, seed=seed))
 
 
-@pytest.mark.parametrize("late", [0.0, 0.005, 0.014, 0.03])
+@pytest.mark.parametrize(
+    "late", [0.014, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.0, 0.005, 0.03))]
+)
 def test_speeds_beside_commands_may_be_late(late: float) -> None:
     """Nothing that a late sensor has not moves the delay of the commands and the lag of the
     motors; left out, all of it counts as delay of the commands."""
@@ -121,16 +124,27 @@ def test_speeds_beside_commands_may_be_late(late: float) -> None:
         assert without["command_delay.d"].value > true["command_delay.d"] + 0.5 * late
 
 
-def test_the_plain_fit_takes_late_speeds_of_a_wrong_scale_as_they_are() -> None:
-    logs = [late_log(0.014, seed) for seed in (5, 6)]
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seeds", "without"),
+    [
+        ((5,), ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz")),
+        ((5, 6), ()),
+    ],
+    ids=["one flight of an IMU", "two flights with their pose"],
+)
+def test_the_plain_fit_takes_late_speeds_of_a_wrong_scale_as_they_are(
+    seeds: tuple[int, ...], without: tuple[str, ...]
+) -> None:
+    logs = [late_log(0.014, seed) for seed in seeds]
     scales = {1: 0.05, 2: 0.05, 3: 0.05, 4: -0.03}
     for log in logs:
         for i, s in scales.items():
             log[f"omega{i}"] = (1 + s) * log[f"omega{i}"]
-    first, second = (
-        dataset_from_arrays(log.pop("t"), log, name=f"run{i}") for i, log in enumerate(logs)
-    )
-    result = fit(vehicle(), first + second)
+        for name in without:
+            log.pop(name, None)
+    flights = [dataset_from_arrays(g.pop("t"), g, name=f"run{i}") for i, g in enumerate(logs)]
+    result = fit(vehicle(), Dataset(flights=tuple(f.flights[0] for f in flights)))
     shown = {"rotor_speed_delay.d": 0.014}
     shown |= {f"rotor_speed_scale.s_{i}": s for i, s in scales.items()}
     true = truth() | shown

@@ -15,14 +15,12 @@ from greybox.baselines.compare_bench import Bench, Outcome
 from greybox.baselines.compare_methods import METHODS
 from greybox.cli import main
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
-from greybox.excitation.injection import rich_excitation
-from greybox.excitation.waypoints import RandomWaypoints
 from greybox.journal import FILE
-from greybox.plants.flight_log import fly, member, write_log
-from greybox.plants.presets import controller_for
+from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
-from scenarios.studies.recovery import plant
+from tests.automatic.craft import RATES, flown, plant
 
+COLUMNS = ("t", "u1", "u2", "u3", "u4", *RATES)
 CHOSEN = ("persistence", "linear MIMO PEM", "LSTM", "nonlinear PEM")
 TIMED = ("train_seconds", "microseconds_per_sample")
 
@@ -30,22 +28,13 @@ TIMED = ("train_seconds", "microseconds_per_sample")
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """The command but for its folder."""
-    folder, craft = tmp_path_factory.mktemp("flights"), plant()
-    for seed, name in enumerate("ab"):
-        log = fly(
-            craft,
-            controller_for(craft),
-            RandomWaypoints(),
-            rich_excitation(),
-            5.0,
-            seed=[seed],
-            warm_up=0.5,
-        )
-        write_log(folder / f"{name}.csv", member(log, 0), drop=["omega"])
-    write_vehicle(folder / "v.toml", craft, sigma={"inertia": 0.2, "thrust.c2": 0.2})
+    folder = tmp_path_factory.mktemp("flights")
+    for columns, name in zip(flown((0, 1), 5.0), "ab", strict=True):
+        write_log(folder / f"{name}.csv", {k: v for k, v in columns.items() if k in COLUMNS})
+    write_vehicle(folder / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2})
     train, test, vehicle = (str(folder / n) for n in ("a.csv", "b.csv", "v.toml"))
     words = ["compare", "--vehicle", vehicle, "--train", train, "--test", test]
-    return [*words, "--methods", ",".join(CHOSEN), "--max-iterations", "3", "--out"]
+    return [*words, "--methods", ",".join(CHOSEN), "--max-iterations", "3", "--adapt", "0", "--out"]
 
 
 class Counted:
@@ -82,6 +71,7 @@ def table(folder: Path) -> list[dict[str, Any]]:
     return [{k: v for k, v in r.items() if k not in TIMED} for r in rows]
 
 
+@pytest.mark.slow
 def test_what_has_ended_is_not_done_again(
     given: list[str],
     tmp_path: Path,

@@ -13,15 +13,13 @@ from greybox.cli import main
 from greybox.estimation.solver import Objective, Progress
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Status
-from greybox.excitation.injection import rich_excitation
-from greybox.excitation.waypoints import RandomWaypoints
 from greybox.journal import FILE
-from greybox.plants.flight_log import fly, member, write_log
-from greybox.plants.presets import controller_for
+from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.symbolic import FloatArray
-from scenarios.studies.recovery import plant
+from tests.automatic.craft import RATES, flown, plant
 
+COLUMNS = ("t", "u1", "u2", "u3", "u4", *RATES)
 TIMES = {"seconds", "command", "written", "created"}
 solve = LevenbergMarquardt.solve
 
@@ -51,18 +49,9 @@ class Interrupted:
 def given(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """The command but for its folder."""
     folder = tmp_path_factory.mktemp("flights")
-    craft = plant()
-    log = fly(
-        craft,
-        controller_for(craft),
-        RandomWaypoints(),
-        rich_excitation(),
-        6.0,
-        seed=[1],
-        warm_up=0.5,
-    )
-    write_log(folder / "a.csv", member(log, 0), drop=["omega"])
-    write_vehicle(folder / "v.toml", craft, sigma={"inertia": 0.2, "thrust.c2": 0.2})
+    (columns,) = flown((1,), 6.0)
+    write_log(folder / "a.csv", {k: v for k, v in columns.items() if k in COLUMNS})
+    write_vehicle(folder / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2})
     return ["fit", "--vehicle", str(folder / "v.toml"), "--train", str(folder / "a.csv"), "--out"]
 
 

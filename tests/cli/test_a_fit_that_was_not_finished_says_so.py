@@ -11,22 +11,20 @@ import jsonschema
 import pytest
 
 from greybox.cli import main
-from greybox.excitation.hover import Hover
-from greybox.excitation.injection import rich_excitation
 from greybox.model.verdict import UNFINISHED
-from greybox.plants.flight_log import fly, member, write_log
-from greybox.plants.presets import controller_for
+from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
-from scenarios.studies.recovery import plant
+from tests.automatic.craft import RATES, flown, plant
+
+COLUMNS = ("t", "u1", "u2", "u3", "u4", *RATES)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("unfinished")
-    craft = plant()
-    log = fly(craft, controller_for(craft), Hover(), rich_excitation(), 3.0, seed=[1], warm_up=0.5)
-    write_log(folder / "a.csv", member(log, 0), drop=["omega"])
-    write_vehicle(folder / "v.toml", craft, sigma={"inertia": 0.2, "thrust.c2": 0.2})
+    (columns,) = flown((1,), 3.0)
+    write_log(folder / "a.csv", {k: v for k, v in columns.items() if k in COLUMNS})
+    write_vehicle(folder / "v.toml", plant(), sigma={"inertia": 0.2, "thrust.c2": 0.2})
     return folder
 
 
@@ -37,8 +35,14 @@ AFTER = (
 )
 
 
-@pytest.mark.parametrize("step", AFTER)
-@pytest.mark.parametrize("error", [OverflowError, KeyboardInterrupt])
+@pytest.mark.parametrize(
+    ("error", "step"),
+    [
+        *((OverflowError, step) for step in AFTER),
+        (KeyboardInterrupt, AFTER[0]),
+        *(pytest.param(KeyboardInterrupt, s, marks=pytest.mark.slow) for s in AFTER[1:]),
+    ],
+)
 def test_files_of_a_fit_that_was_not_finished_say_so_and_are_refused(
     step: str,
     error: type[BaseException],

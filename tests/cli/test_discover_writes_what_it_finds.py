@@ -225,7 +225,7 @@ def test_an_interruption_keeps_what_was_found(
     monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
     monkeypatch.setattr(greybox.discovery.workflow, "certificates", stop)
     arguments = command(
-        files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(tmp_path)
+        files, "--train", "a.csv", "--effects-file", "friction.py", "--out", str(tmp_path)
     )
     with results_of_one_run(tmp_path, "discovery.json", "model.json", "report.html"):
         assert main(arguments) == 130

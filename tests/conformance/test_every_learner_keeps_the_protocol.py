@@ -297,7 +297,10 @@ def test_its_file_is_the_same_model(name: str, tmp_path: Path) -> None:
     assert squared(back) == squared(model)
 
 
-@pytest.mark.parametrize("name", FITTED)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if i < 3 else pytest.mark.slow) for i, n in enumerate(LEARNERS)],
+)
 def test_its_c_is_the_model(name: str, tmp_path: Path) -> None:
     """C and CasADi of the bundle agree to 1e-10 of each output's scale, and CasADi with the learned
     part itself."""

@@ -56,7 +56,9 @@ def flown(
     return check([raw], vehicle("nanobench"))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [0, 1, 2, *(pytest.param(s, marks=pytest.mark.slow) for s in range(3, 8))]
+)
 def test_clocks_of_a_smooth_circle_do_not_wander(seed: int) -> None:
     report = flown(wobble=0.0, seed=seed)
     assert report.wander == 0.0
@@ -64,8 +66,10 @@ def test_clocks_of_a_smooth_circle_do_not_wander(seed: int) -> None:
     assert any("change too little" in u.reason for u in report.not_judged)
 
 
-@pytest.mark.parametrize("every", [1, 2, 3])
-@pytest.mark.parametrize("noise", [(0.002, 0.015), (0.001, 0.005)])
+@pytest.mark.parametrize("every", [1, 3, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "noise", [(0.002, 0.015), pytest.param((0.001, 0.005), marks=pytest.mark.slow)]
+)
 def test_a_slow_pose_of_a_gentle_flight_makes_no_clock_wander(
     noise: tuple[float, float], every: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,7 +84,9 @@ def test_a_slow_pose_of_a_gentle_flight_makes_no_clock_wander(
             assert report.ok
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 4))]
+)
 def test_clocks_that_wander_are_found_by_as_much_where_the_rates_tell_it(seed: int) -> None:
     report = flown(wobble=0.1, wander=4.0, seed=seed)
     assert report.wander == pytest.approx(7.0, abs=1.5)

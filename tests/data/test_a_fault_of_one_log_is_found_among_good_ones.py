@@ -27,7 +27,12 @@ FAULTS: dict[str, Callable[[RawLog], RawLog]] = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+def some(*faults: str) -> list[object]:
+    """These of all in every run, the others in the slow ones."""
+    return [f if f in faults else pytest.param(f, marks=pytest.mark.slow) for f in FAULTS]
+
+
+@pytest.mark.parametrize("fault", some("motors", "gyro axes", "position in mm"))
 def test_a_fault_is_found_among_good_logs_and_is_theirs_not(fault: str) -> None:
     bad = FAULTS[fault](real(SET, FLIGHT))
     alone = check([bad], vehicle(SET)).blocking
@@ -37,7 +42,7 @@ def test_a_fault_is_found_among_good_logs_and_is_theirs_not(fault: str) -> None:
     assert {f.check for f in among} == {f.check for f in alone}
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", some("motors", "quaternion"))
 def test_two_logs_with_the_fault_do_not_hide_it_behind_a_good_one(fault: str) -> None:
     others = [FAULTS[fault](real(SET, f)) for f in GOOD[1:]]
     report = check([real(SET, GOOD[0]), *others], vehicle(SET))

@@ -61,7 +61,10 @@ def with_scale(raw, factor):
     return replace(raw, channels={**raw.channels, **scaled})
 
 
-@pytest.mark.parametrize(("a", "b"), [(1, 2), (1, 3), (2, 4), (3, 4)])
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [(1, 2), (1, 3), *(pytest.param(a, 4, marks=pytest.mark.slow) for a in (2, 3))],
+)
 def test_exchanged_motors(flown, a, b):
     raw, vehicle = flown
     messages = [f.message for f in check([exchanged(raw, f"u{a}", f"u{b}")], vehicle).of("motors")]
@@ -76,7 +79,7 @@ def test_spins_and_quaternion(flown):
     assert any("world into body" in f.message for f in check([conjugated(raw)], vehicle).blocking)
 
 
-@pytest.mark.parametrize("rows", [-9, 4, 10])
+@pytest.mark.parametrize("rows", [-9, 4, pytest.param(10, marks=pytest.mark.slow)])
 def test_shifts_are_recovered_within_half_a_sample(flown, rows):
     raw, vehicle = flown
     found = check([late(raw, rows, "p q r")], vehicle).of("alignment")

@@ -47,7 +47,13 @@ def raw_log(t, **channels):
     )
 
 
-@pytest.mark.parametrize("path", flight_paths("nanobench"), ids=lambda p: p.name.split(".")[0])
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(p, id=p.name.split(".")[0], marks=() if i % 3 == 0 else pytest.mark.slow)
+        for i, p in enumerate(flight_paths("nanobench"))
+    ],
+)
 def test_the_cut_keeps_the_airborne_stretch(path):
     flight = read_log(path, read_vehicle(vehicle_path("nanobench")))
     first, last = ABOVE[flight.name]

@@ -69,7 +69,9 @@ def of_held(raw: RawLog, craft: Vehicle) -> tuple[Finding, ...]:
     return check([raw], craft).of("held")
 
 
-@pytest.mark.parametrize("pace", [2, 2.5, 3, 7.5, 10, 20])
+@pytest.mark.parametrize(
+    "pace", [2, 7.5, 20, *(pytest.param(p, marks=pytest.mark.slow) for p in (2.5, 3, 10))]
+)
 def test_of_a_pose_that_is_carried_on_only_the_first_of_each_run_counts(pace: float) -> None:
     raw, craft = flown()
     made = carried_on(raw, (*P, *Q), pace)
@@ -127,7 +129,7 @@ def test_commands_that_were_sent_faster_than_logged_are_warned_of(pace: int) -> 
     assert found.evidence["interval_s"] == pytest.approx(0.01 * pace)
 
 
-@pytest.mark.parametrize("pace", [3, 5, 10])
+@pytest.mark.parametrize("pace", [5, *(pytest.param(p, marks=pytest.mark.slow) for p in (3, 10))])
 def test_commands_that_are_sent_slowly_are_as_logged(pace: int) -> None:
     (found,) = of_held(*flown(pace))
     assert found.severity == "info" and "and so does the motion" in found.message

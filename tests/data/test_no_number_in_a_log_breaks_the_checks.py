@@ -120,7 +120,13 @@ def test_values(group: str, value: str) -> None:
     assert found - sound()
 
 
-@pytest.mark.parametrize("times", TIMES)
+RARE = ("before zero", "large", "tiny", "ever slower", "two rates")
+"""As far from a clock as others are."""
+
+
+@pytest.mark.parametrize(
+    "times", [pytest.param(t, marks=pytest.mark.slow) if t in RARE else t for t in TIMES]
+)
 def test_time_stamps(times: str) -> None:
     raw = real(SET, FLIGHT)
     found = judged(replace(raw, t=TIMES[times](raw.t)))

@@ -88,7 +88,9 @@ SEEDS = (0, 2, 3)
 """Flights in which the attitude errs enough to accuse."""
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    "seed", [SEEDS[0], *(pytest.param(s, marks=pytest.mark.slow) for s in SEEDS[1:])]
+)
 def test_an_attitude_that_errs_does_not_accuse_the_accelerometer(seed: int) -> None:
     (found,) = said(seed, estimated=True, turned=False)
     assert found.severity == "warning"
@@ -97,7 +99,9 @@ def test_an_attitude_that_errs_does_not_accuse_the_accelerometer(seed: int) -> N
     assert found.evidence["share_explained"] > found.evidence["share_as_given"]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 3))]
+)
 def test_an_accelerometer_that_is_wrong_is_accused(seed: int) -> None:
     (found,) = said(seed, estimated=False, turned=True)
     assert found.severity == "blocking"

@@ -20,7 +20,7 @@ from greybox.model.model import input_of
 from greybox.model.vehicle import Quantity
 from tests.automatic.craft import flown, vehicle
 
-SEED, SECONDS = (7,), 20.0
+SEED, SECONDS = (7,), 12.0
 SPEEDS = ("omega1", "omega2", "omega3", "omega4")
 FACTS = Facts(
     sensors=frozenset({"gyro", "accelerometer"}),

@@ -99,7 +99,7 @@ def read_as(raw: RawLog, group: str, frame: str, how: Callable[[np.ndarray], np.
     return replace(raw, channels={**raw.channels, **{n: read[:, i] for i, n in enumerate(names)}})
 
 
-@pytest.mark.parametrize("frame", ["FLU/ENU", "FRD/NED"])
+@pytest.mark.parametrize("frame", [pytest.param("FLU/ENU", marks=pytest.mark.slow), "FRD/NED"])
 @pytest.mark.parametrize(
     ("how", "words"),
     [
@@ -117,7 +117,13 @@ def test_a_quaternion_read_wrongly_is_named_in_whatever_frame_it_is_logged(
         assert words in found.message and "[columns.attitude]" in found.fix
 
 
-@pytest.mark.parametrize(("body", "world"), [("FLU", "ENU"), ("FRD", "NED"), ("FRD", "ENU")])
+@pytest.mark.parametrize(
+    ("body", "world"),
+    [
+        ("FRD", "NED"),
+        *(pytest.param(b, "ENU", marks=pytest.mark.slow) for b in ("FLU", "FRD")),
+    ],
+)
 def test_a_velocity_in_body_axes_is_named_whatever_world_it_was_taken_for(
     body: str, world: str
 ) -> None:
@@ -162,9 +168,17 @@ def gappy(raw: RawLog, share: float, names: str) -> RawLog:
     )
 
 
-@pytest.mark.parametrize("names", ["qw qx qy qz", "p q r", "ax ay az", "vx vy vz"])
-@pytest.mark.parametrize("fault", ["accelerometer in world axes", "gyro in world axes"])
+@pytest.mark.parametrize(
+    ("names", "fault"),
+    [
+        pytest.param(names, fault, marks=() if its else pytest.mark.slow)
+        for fault, own in (("accelerometer", "ax ay az"), ("gyro", "p q r"))
+        for names in ("qw qx qy qz", "p q r", "ax ay az", "vx vy vz")
+        for its in [names == own or (fault == "gyro" and names == "qw qx qy qz")]
+    ],
+)
 def test_a_few_missing_samples_hide_no_fault_and_make_none(names: str, fault: str) -> None:
+    fault = f"{fault} in world axes"
     clean = check([gappy(real(SET, FLIGHT), 0.05, names)], vehicle(SET))
     assert {f.check for f in clean.findings if f.severity != "info"} == {"alignment"}
     assert {u.check for u in clean.not_judged} == {u.check for u in faulty(fault).not_judged} - {
@@ -192,7 +206,10 @@ def test_a_check_that_gaps_forbid_says_so_and_not_that_the_flight_is_short() -> 
     assert "45 % of qw, qx, qy, qz" in said.message
 
 
-@pytest.mark.parametrize(("every", "lost", "said"), [(2, 0.0, 0), (4, 0.0, 0), (2, 0.3, 1)])
+@pytest.mark.parametrize(
+    ("every", "lost", "said"),
+    [pytest.param(2, 0.0, 0, marks=pytest.mark.slow), (4, 0.0, 0), (2, 0.3, 1)],
+)
 def test_a_channel_at_a_pace_of_its_own_misses_nothing(every: int, lost: float, said: int) -> None:
     """Motion capture on every second row; what it loses of its own samples is said."""
     raw = real(SET, FLIGHT)

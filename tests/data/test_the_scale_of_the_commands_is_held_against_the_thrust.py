@@ -97,8 +97,10 @@ def test_a_curve_of_the_commands_is_no_range(flown, strength):
     assert said(with_channels(raw, **curved), craft) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("set_name", SETS)
 def test_real_flights_pass(set_name):
+    """So does test_injected_faults_are_found_and_clean_flights_pass.py, of the same reports."""
     logs = [read_table(p, vehicle(set_name)) for p in flight_paths(set_name)]
     report = check(logs, vehicle(set_name))
     assert report.of("thrust") == ()

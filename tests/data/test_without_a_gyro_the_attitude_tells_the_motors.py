@@ -80,8 +80,16 @@ LOGS: dict[str, Callable[[RawLog], RawLog]] = {
 }
 
 
-@pytest.mark.parametrize("log", LOGS.values(), ids=LOGS)
-@pytest.mark.parametrize("flight", [CALM, "B8_star_fast_rep2"])
+def rows(*fast: str) -> pytest.MarkDecorator:
+    """The calm flight in all ways, and the fast one in these; in the others in the slow tests."""
+    found = [pytest.param(CALM, log, id=f"{name}-{CALM}") for name, log in LOGS.items()]
+    for name, log in LOGS.items():
+        marks = () if name in fast else pytest.mark.slow
+        found.append(pytest.param("B8_star_fast_rep2", log, id=f"{name}-fast", marks=marks))
+    return pytest.mark.parametrize(("flight", "log"), found)
+
+
+@rows("noisy", "late")
 def test_exchanged_motors_are_found(flight: str, log: Callable[[RawLog], RawLog]) -> None:
     report = told(log(exchanged(posed(flight), "u1", "u2")))
     found = report.of("motors")
@@ -90,8 +98,7 @@ def test_exchanged_motors_are_found(flight: str, log: Callable[[RawLog], RawLog]
     assert "motors" not in report.summary().splitlines()[0].partition("not judged: ")[2]
 
 
-@pytest.mark.parametrize("log", LOGS.values(), ids=LOGS)
-@pytest.mark.parametrize("flight", [CALM, "B8_star_fast_rep2"])
+@rows("noisy", "25 Hz")
 def test_motors_in_their_order_are_none(flight: str, log: Callable[[RawLog], RawLog]) -> None:
     report = told(log(posed(flight)))
     assert report.blocking == ()
@@ -99,15 +106,21 @@ def test_motors_in_their_order_are_none(flight: str, log: Callable[[RawLog], Raw
     assert not [f for f in report.of("alignment") if f.severity != "info"]
 
 
-def test_all_real_flights_are_judged_by_their_attitude_and_none_is_accused() -> None:
-    report = told(*(posed(f) for f in FLIGHTS))
+@pytest.mark.parametrize(
+    "flights", [FLIGHTS[::3], pytest.param(FLIGHTS, marks=pytest.mark.slow)], ids=["some", "all"]
+)
+def test_real_flights_are_judged_by_their_attitude_and_none_is_accused(flights) -> None:
+    report = told(*(posed(f) for f in flights))
     assert report.blocking == ()
     assert not report.of("motors")
     assert not [u for u in report.not_judged if u.check == "motors" and not u.part]
     assert report.unchecked_order == []
 
 
-@pytest.mark.parametrize("flight", FLIGHTS)
+@pytest.mark.parametrize(
+    "flight",
+    [f if i % 3 == 0 else pytest.param(f, marks=pytest.mark.slow) for i, f in enumerate(FLIGHTS)],
+)
 def test_parts_of_a_few_seconds_accuse_nobody(flight: str) -> None:
     report = told(taken(posed(flight), slice(500, 1000)))
     assert not report.of("motors")

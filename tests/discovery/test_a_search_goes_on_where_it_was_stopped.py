@@ -68,7 +68,9 @@ def whole() -> tuple[str, int]:
         return told(searched()), fits.count
 
 
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.6, 1.0])
+@pytest.mark.parametrize(
+    "share", [pytest.param(s, marks=pytest.mark.slow) for s in (0.0, 0.2, 0.6, 1.0)]
+)
 def test_no_fit_is_done_twice_and_nothing_else_comes_out(
     share: float, whole: tuple[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,10 @@ OFF_CENTRE = CenterOfMassOffset(c_x=0.004, c_y=-0.003, c_z=0.0)
 
 @pytest.mark.parametrize(
     ("hidden", "name"),
-    [(TRACKED, "pose_lever_arm"), (OFF_CENTRE, "center_of_mass_offset")],
+    [
+        (TRACKED, "pose_lever_arm"),
+        pytest.param(OFF_CENTRE, "center_of_mass_offset", marks=pytest.mark.slow),
+    ],
     ids=["tracked point", "centre of mass"],
 )
 def test_the_one_is_not_named_for_the_other(

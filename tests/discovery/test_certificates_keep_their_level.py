@@ -71,9 +71,9 @@ def test_the_supremum_is_sought_only_where_it_could_decide(seed: int):
 @pytest.mark.parametrize(
     ("truth", "rivals"),
     [
-        ({}, ((),)),
+        pytest.param({}, ((),), marks=pytest.mark.slow),
         ({"b": np.array([1.5])}, ((), ("b",))),
-        ({"c": np.array([0.5, -0.5, 0.0])}, ((), ("c",))),
+        pytest.param({"c": np.array([0.5, -0.5, 0.0])}, ((), ("c",)), marks=pytest.mark.slow),
     ],
     ids=["nothing", "look-alike", "another"],
 )

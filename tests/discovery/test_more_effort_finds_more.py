@@ -81,8 +81,11 @@ def linear(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "axis_gains", lambda *_: {})
 
 
-def test_no_verdict_is_lost_by_raising_effort():
-    for seed in range(60):
+@pytest.mark.parametrize(
+    "first", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (15, 30, 45))]
+)
+def test_no_verdict_is_lost_by_raising_effort(first: int):
+    for seed in range(first, first + 15):
         few, many = found(seed, LITTLE), found(seed, MUCH)
         for name, before in few.items():
             assert FOUND.index(many[name].status) <= FOUND.index(before.status), (seed, name)
@@ -135,11 +138,13 @@ def test_colour_waits_for_what_gains_more_than_it_promises(
     assert (frozenset({"colour"}) in one.kept) is tried
 
 
-def test_the_rivals_that_are_asked_decide_as_all_would(monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("first", [1000, pytest.param(1010, marks=pytest.mark.slow)])
+def test_the_rivals_that_are_asked_decide_as_all_would(first: int, monkeypatch: pytest.MonkeyPatch):
     """What `Rules.rivals` was calibrated on, on other seeds."""
-    asked = [{n: v.status for n, v in found(seed, EFFORT).items()} for seed in range(1000, 1040)]
+    seeds = range(first, first + 10 if first == 1000 else 1040)
+    asked = [{n: v.status for n, v in found(seed, EFFORT).items()} for seed in seeds]
     monkeypatch.setattr(greybox.discovery.search, "RULES", replace(RULES, rivals=400))
-    every = [{n: v.status for n, v in found(seed, EFFORT).items()} for seed in range(1000, 1040)]
+    every = [{n: v.status for n, v in found(seed, EFFORT).items()} for seed in seeds]
     assert asked == every
 
 

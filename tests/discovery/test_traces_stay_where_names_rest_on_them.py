@@ -3,14 +3,17 @@ it stays: a name that was judged beside it, or a number of the craft, would take
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
+from greybox.discovery.evidence import Fitted
 from greybox.discovery.rules import RULES
 from greybox.discovery.words import moved_names, stays
 from greybox.discovery.workflow import _Run
+from greybox.estimation.result import Fit
 from greybox.validation.worth import worth
 from tests.discovery import small_world
 from tests.discovery.test_names_matter_and_are_possible import (
@@ -69,6 +72,14 @@ def test_it_stays_in_the_model_without_a_name_and_says_why():
     )
 
 
+@functools.cache
+def with_and_without() -> tuple[Fitted, Fit, Fitted]:
+    """A model with the trace, its fit, and the model without it."""
+    flights = small_world.damped()
+    whole = flights.fit({"rotational_damping", "gyro_bias"})
+    return whole, flights.settled(whole), flights.fit({"rotational_damping"})
+
+
 @pytest.mark.parametrize("asked", [False, True])
 @pytest.mark.parametrize("ahead", [0.999, 1.001])
 @pytest.mark.parametrize(
@@ -77,10 +88,7 @@ def test_it_stays_in_the_model_without_a_name_and_says_why():
 def test_a_trace_leaves_only_where_nothing_that_is_said_rests_on_it_or_errors_show_harm(
     moved: float, grown: float, ahead: float, asked: bool
 ):
-    flights = small_world.damped()
-    whole = flights.fit({"rotational_damping", "gyro_bias"})
-    fit = flights.settled(whole)
-    bare = flights.fit({"rotational_damping"})
+    whole, fit, bare = with_and_without()
     place = [u.name for u in bare.space.unknowns].index("rotational_damping.d_p")
     own, theta = fit.parameters["rotational_damping.d_p"], bare.theta.copy()
     theta[place] = own.value + moved * own.std

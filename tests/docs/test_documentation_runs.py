@@ -7,10 +7,13 @@ import re
 import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import greybox as gb
 from greybox.cli import build_parser
+from greybox.data import Dataset
 from tests.docs.pages import (
     LANGUAGES,
     PAGES,
@@ -30,6 +33,7 @@ def _has_code(page: Path) -> bool:
 
 
 LONG = (
+    "README.md",
     "docs/automatic.md",
     "docs/howto.md",
     "docs/own_model.md",
@@ -50,6 +54,21 @@ RUN = [
 def test_every_block_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_page(page, tmp_path) > 0
+
+
+def test_the_first_page_runs_on_the_first_seconds_of_its_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = gb.read_logs
+
+    def begun(*given: Any, **how: Any) -> Dataset:
+        cut = [f.between(t := float(f.segments[0].t[0]), t + 6.0) for f in read(*given, **how)]
+        return Dataset(flights=tuple(f for f in cut if f is not None))
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(gb, "read_logs", begun)
+    assert run_page(ROOT / "README.md", tmp_path) > 0
+    assert (tmp_path / "fit" / "model.json").exists()
 
 
 def test_what_a_sketch_imports_is_there() -> None:

@@ -77,7 +77,7 @@ def test_a_copy_can_be_profiled(found):
     assert np.array_equal(one.cost, other.cost)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("compiled", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_pool_returns_fits(compiled):
     spawn = multiprocessing.get_context("spawn")  # as on every system
     with ProcessPoolExecutor(1, mp_context=spawn) as pool:

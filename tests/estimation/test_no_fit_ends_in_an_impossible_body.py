@@ -178,9 +178,10 @@ def pulled(body: Body) -> Pulled:
     )
 
 
-def test_two_hundred_searches_that_are_pulled_across_end_inside_and_at_one_place():
+@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
+def test_searches_that_are_pulled_across_end_inside_and_at_one_place(count):
     problem, rng, costs = pulled(PLAIN), np.random.default_rng(5), []
-    for _ in range(200):
+    for _ in range(count):
         theta, status = LevenbergMarquardt().solve(
             problem, problem.inside(rng.uniform(problem.lower, 4.0))
         )
@@ -189,9 +190,10 @@ def test_two_hundred_searches_that_are_pulled_across_end_inside_and_at_one_place
     assert np.ptp(costs) < 1e-4
 
 
-def test_searches_with_products_of_inertia_end_inside_too():
+@pytest.mark.parametrize("count", [10, pytest.param(50, marks=pytest.mark.slow)])
+def test_searches_with_products_of_inertia_end_inside_too(count):
     problem, rng = pulled(BODY), np.random.default_rng(6)
-    for _ in range(50):
+    for _ in range(count):
         start = problem.inside(rng.uniform(problem.lower, [4, 4, 4, 1, 1, 1]))
         theta, _ = LevenbergMarquardt().solve(problem, start)
         assert is_possible(BODY.inertia(theta))

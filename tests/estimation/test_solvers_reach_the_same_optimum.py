@@ -217,12 +217,13 @@ def test_a_start_without_a_finite_cost_is_said(name: str) -> None:
     assert status.code is Code.INVALID_START
 
 
-def test_a_step_in_a_box_is_the_best_one_however_many_bounds_it_meets() -> None:
+@pytest.mark.parametrize("count", [100, pytest.param(400, marks=pytest.mark.slow)])
+def test_a_step_in_a_box_is_the_best_one_however_many_bounds_it_meets(count: int) -> None:
     """By the conditions of Karush, Kuhn and Tucker, in units of each unknown's own curvature. A
     set of bounds that goes round in circles had ended at a step that promises a rise, which was
     taken for an optimum."""
     random = np.random.default_rng(0)
-    for _ in range(400):
+    for _ in range(count):
         n = int(random.integers(2, 50))
         root = random.standard_normal((n + 3, n)) * 10 ** random.uniform(-3, 3, n)
         root += random.standard_normal((n + 3, 1)) @ random.standard_normal((1, n)) * 1e2

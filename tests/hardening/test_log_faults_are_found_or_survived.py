@@ -86,7 +86,21 @@ def test_the_flight_as_it_came(tmp_path: Path) -> None:
     assert found(path) == CLEAN
 
 
-@pytest.mark.parametrize("name", BLOCKED)
+ELSEWHERE = (
+    "reversed axis",
+    "gyro in deg/s",
+    "accelerometer in m/s^2",
+    "quaternion order",
+    "quaternion direction",
+    "time in ms",
+    "swapped motors",
+)
+"""Put into another flight by tests/data/test_injected_faults_are_found_and_clean_flights_pass.py."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in ELSEWHERE else n for n in BLOCKED]
+)
 def test_faults_that_block_a_fit(name: str, tmp_path: Path) -> None:
     assert ("blocking", BLOCKED[name]) in found(written(name, tmp_path))
 

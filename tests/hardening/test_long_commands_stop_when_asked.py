@@ -169,7 +169,10 @@ def test_fit_keeps_the_best_values(fitted: Path) -> None:
     assert "interrupted" in kept["warnings"][0]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(c, marks=pytest.mark.slow) if c in ("mpc", "compare") else c for c in COMMANDS],
+)
 def test_nothing_half_written_is_left(command: str, tmp_path: Path) -> None:
     interrupted(*COMMANDS[command], tmp_path)
     assert not {n for n in files(tmp_path) if n.endswith((".part", ".html"))}

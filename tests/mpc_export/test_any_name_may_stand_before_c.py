@@ -24,7 +24,10 @@ from tests.mpc_export import cases
 ROOT = Path(mpc_export.__file__).parent
 PLAIN = "zq9"
 """A name that stands nowhere else."""
-HOSTILE = ("tube", "tube_model", "filter", "N", "sin")
+HOSTILE = (
+    "tube_model",
+    *(pytest.param(n, marks=pytest.mark.slow) for n in ("tube", "filter", "N", "sin")),
+)
 TARGETS = ("c", "casadi", "tube", "tube-linear", *ONBOARD)
 _places = tempfile.TemporaryDirectory(prefix="names-")
 

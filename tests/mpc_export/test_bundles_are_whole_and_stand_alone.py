@@ -331,7 +331,7 @@ def test_a_distance_is_judged_where_the_learned_part_knows_nothing(tmp_path):
     }
     assert set(scales) == {"gp_distance", "out_of_domain"} and min(scales.values()) > 0.5
     compiled.needs_compiler()
-    assert run_verifier(made.folder).returncode == 0
+    assert verify.verify(made.folder)
 
 
 # ----------------------------------------------------------------------------------- the verifier

@@ -67,7 +67,7 @@ def with_effect(effect):
     )
 
 
-SOME = ("battery_sag", "ground_effect", "sensor_delay")
+SOME = ("battery_sag", "ground_effect")
 
 
 @pytest.mark.parametrize(

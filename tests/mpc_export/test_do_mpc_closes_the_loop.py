@@ -10,7 +10,7 @@ from mpc_export.hover import hover
 from tests.mpc_export import consumers
 
 
-@pytest.mark.parametrize("kind", ["physics", "hybrid"])
+@pytest.mark.parametrize("kind", [pytest.param("physics", marks=pytest.mark.slow), "hybrid"])
 @consumers.needs("do_mpc")
 def test_the_loop_runs_and_every_step_is_solved(kind):
     got = consumers.run(kind, "do_mpc_hover.py", "--horizon", "8", "--steps", "3")

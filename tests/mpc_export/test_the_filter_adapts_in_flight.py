@@ -361,7 +361,13 @@ def pushed_cart(states):
     )
 
 
-@pytest.mark.parametrize(("states", "memory"), [(2, 0.0), (2, 0.5), (2, 5.0), (1, 0.5)])
+@pytest.mark.parametrize(
+    ("states", "memory"),
+    [
+        (2, 0.5),
+        *(pytest.param(n, s, marks=pytest.mark.slow) for n, s in ((2, 0.0), (2, 5.0), (1, 0.5))),
+    ],
+)
 def test_the_stated_error_is_the_one_made_with_a_memory_too(states, memory):
     """b is drawn as the filter supposes. Judge: a Kalman filter of state and b together, written
     here."""

@@ -50,6 +50,7 @@ def test_speed_separates_drags_and_hover_does_not():
     )
 
 
+@pytest.mark.slow
 def test_one_model_in_two_fits_is_not_separated_by_how_a_flight_starts():
     """The truth itself does not foretell the start of its own flight: that separates nothing."""
     fit = rivals()["rotor_drag"]

@@ -29,8 +29,20 @@ def deviation(log, goal):
     return np.sqrt(np.mean((np.stack([log[c] for c in "xyz"], axis=-1) - goal) ** 2))
 
 
-@pytest.mark.parametrize("make", [nano, x250, duckiedrone])
-@pytest.mark.parametrize("gains", [DEFAULT, SOFT, STIFF], ids=["default", "soft", "stiff"])
+@pytest.mark.parametrize(
+    ("make", "gains"),
+    [
+        (nano, DEFAULT),
+        (nano, SOFT),
+        (x250, DEFAULT),
+        (x250, STIFF),
+        (duckiedrone, DEFAULT),
+        *(
+            pytest.param(m, g, marks=pytest.mark.slow)
+            for m, g in ((nano, STIFF), (x250, SOFT), (duckiedrone, SOFT), (duckiedrone, STIFF))
+        ),
+    ],
+)
 def test_hover_with_excitation_for_several_seeds(make, gains):
     plant = make(EFFECTS)
     log = fly(

@@ -68,7 +68,7 @@ def test_it_vanishes_at_its_null_and_is_felt_away_from_it(name: str):
 def test_the_controller_keeps_it_in_the_air_in_batches(name: str):
     plant = x250([CASES[name].hidden])
     assert controller_for(plant) is not None
-    data = flights(plant, (1, 2), 1.5, "f")
+    data = flights(plant, (1, 2), 1.0, "f")
     assert len(data.flights) == 2
     for flight in data:
         z = flight.segments[0].channels["z"]

@@ -127,6 +127,7 @@ def test_qualities_are_ratios_of_what_was_measured():
     assert line == ["GP", "3/9", "0.900", "nan", "0.25", "1.00", "3.00", "4.0", "20000"]
 
 
+@pytest.mark.slow
 def test_results_are_kept_per_method_and_only_the_missing_is_computed(tmp_path):
     called = []
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from dataclasses import replace
@@ -42,31 +43,39 @@ def folder_of(path, *effects, flights=("train1", "train2", "test1")):
     return path
 
 
+seldom = functools.partial(pytest.param, marks=pytest.mark.slow)
+"""A term whose kind another row has."""
+
+
 @pytest.mark.parametrize(
     ("effect", "size"),
     [
         (hidden.RotorDrag(k_x=4e-5, k_y=6e-5), (4e-5, 6e-5)),
         (hidden.AxialInflow(k_z=5e-5), (5e-5,)),
         (hidden.RotationalDamping(d_p=4e-3, d_q=3e-3, d_r=4e-3), (4e-3, 3e-3, 4e-3)),
-        (hidden.RotorAsymmetry(delta=(0.04, -0.02, 0.0, -0.02)), (0.04, -0.02, 0.0)),
+        seldom(hidden.RotorAsymmetry(delta=(0.04, -0.02, 0.0, -0.02)), (0.04, -0.02, 0.0)),
         (hidden.ThrustCurve(f=0.2), (0.2,)),
-        (hidden.RotorGyroscopic(J_r=4e-6), (4e-6,)),
+        seldom(hidden.RotorGyroscopic(J_r=4e-6), (4e-6,)),
         (hidden.ProductsOfInertia(Jxy=2e-4, Jxz=-1e-4, Jyz=1e-4), (2e-4, -1e-4, 1e-4)),
-        (hidden.BladeFlapping(k_flap=1e-6), (1e-6,)),
+        seldom(hidden.BladeFlapping(k_flap=1e-6), (1e-6,)),
         (hidden.ConstantForce(f_x=0.2, f_y=-0.1), (0.2, -0.1, 0.0)),
-        (hidden.TranslationalLift(k_h=0.03), (0.03,)),
+        seldom(hidden.TranslationalLift(k_h=0.03), (0.03,)),
         (hidden.ParasiticDrag(c_x=0.02, c_y=0.03, c_z=0.02), (0.02, 0.03, 0.02)),
-        (hidden.PayloadMass(mu=0.1), (0.1,)),
+        seldom(hidden.PayloadMass(mu=0.1), (0.1,)),
         (hidden.CenterOfMassOffset(c_x=0.01, c_y=-0.008), (0.01, -0.008)),
-        (hidden.AccelerometerBias(b_x=0.2, b_y=-0.1, b_z=0.2), (0.2, -0.1, 0.2)),
+        seldom(hidden.AccelerometerBias(b_x=0.2, b_y=-0.1, b_z=0.2), (0.2, -0.1, 0.2)),
         (hidden.GyroBias(b_x=0.03, b_y=-0.02, b_z=0.01), (0.03, -0.02, 0.01)),
-        (hidden.GyroScale(s_x=0.05, s_y=-0.05, s_z=0.04), (0.05, -0.05, 0.04)),
-        (hidden.AccelerometerScale(s_z=0.04), (0.0, 0.0, 0.04)),
+        seldom(hidden.GyroScale(s_x=0.05, s_y=-0.05, s_z=0.04), (0.05, -0.05, 0.04)),
+        seldom(hidden.AccelerometerScale(s_z=0.04), (0.0, 0.0, 0.04)),
         (hidden.AccelerometerLeverArm(r_x=0.03, r_y=-0.02, r_z=0.02), (0.03, -0.02, 0.02)),
-        (hidden.ImuMisalignment(theta_x=0.04, theta_y=-0.03, theta_z=0.04), (0.04, -0.03, 0.04)),
-        (hidden.MocapMisalignment(theta_x=0.04, theta_y=-0.03, theta_z=0.04), (0.04, -0.03, 0.04)),
+        seldom(
+            hidden.ImuMisalignment(theta_x=0.04, theta_y=-0.03, theta_z=0.04), (0.04, -0.03, 0.04)
+        ),
+        seldom(
+            hidden.MocapMisalignment(theta_x=0.04, theta_y=-0.03, theta_z=0.04), (0.04, -0.03, 0.04)
+        ),
         (hidden.PoseLeverArm(r_x=0.04, r_y=-0.03, r_z=0.04), (0.04, -0.03, 0.04)),
-        (hidden.PoseDelay(d=0.02), (0.02,)),
+        seldom(hidden.PoseDelay(d=0.02), (0.02,)),
         (hidden.SensorDelay(d=0.015), (0.015,)),
     ],
 )

@@ -38,6 +38,7 @@ def test_every_output_moves_far_above_its_noise_in_every_part(data):
     assert data.truth.height.min() < 0.2, "but comes near enough to feel it"
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_record_and_another_seed_another(data):
     assert paper_data(3).record.hash == data.record.hash
     assert paper_data(4).record.hash != data.record.hash

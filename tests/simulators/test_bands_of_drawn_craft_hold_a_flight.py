@@ -155,6 +155,7 @@ def test_a_flight_without_velocity_counts_by_its_other_sensors(place: int) -> No
     assert "counted on 3 flights" in found.pushes
 
 
+@pytest.mark.slow
 def test_every_file_has_the_level_of_pushes_ahead() -> None:
     """A model with calibrated levels: words, simulate.py and draws say these, not those of one step
     ahead."""

@@ -47,6 +47,7 @@ def pushes(folder: Path, m: IdentifiedModel) -> Any:
     return module
 
 
+@pytest.mark.slow
 def test_new_pushes_have_the_models_strength_and_time(tmp_path: Path) -> None:
     m = model({"motor_lag.tau": 0.05})
     module = pushes(tmp_path, m)

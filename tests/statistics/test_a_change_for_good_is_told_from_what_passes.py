@@ -42,7 +42,7 @@ def test_what_comes_and_goes_is_no_change() -> None:
 
 
 @pytest.mark.parametrize(("memory", "known"), [(0.1, 0.1), (0.6, 0.6), (0.9, 0.9), (0.98, 0.98)])
-@pytest.mark.parametrize("m", [24, 60])
+@pytest.mark.parametrize("m", [24, pytest.param(60, marks=pytest.mark.slow)])
 def test_gusts_seem_to_change_as_seldom_as_is_promised(memory: float, known: float, m: int) -> None:
     seen = sum(lasting_change(drawn(memory, m, s), known) is not None for s in range(500))
     assert seen <= 500 * FALSE + 3 * np.sqrt(500 * FALSE)

@@ -66,8 +66,9 @@ def white(sigma: float):
 
 
 def test_the_model_that_knows_of_it_is_as_near_as_the_measured_imu_and_says_how_near():
-    found = validate(knowing(TIME, "position"), dataset(flown()))
-    blind = validate(white(0.1), dataset(flown()))
+    flight = dataset(flown())
+    found = validate(knowing(TIME, "position"), flight, every=20)
+    blind = validate(white(0.1), flight, every=20)
     own, taken = found.table.groups["position"], blind.table.groups["position"]
     assert own.mae[9] < 1.05 * found.dead_reckoning.groups["position"].mae[9]
     assert own.mae[9] < 0.5 * taken.mae[9]
@@ -75,9 +76,9 @@ def test_the_model_that_knows_of_it_is_as_near_as_the_measured_imu_and_says_how_
 
 
 def test_noise_that_lasts_no_sample_leaves_the_numbers_of_white_noise():
-    tables = [
-        validate(m, dataset(flown())).table for m in (white(SIGMA), knowing(1e-3, "position"))
-    ]
+    flight = dataset(flown(seconds=8.0))
+    models = white(SIGMA), knowing(1e-3, "position")
+    tables = [validate(m, flight, every=20).table for m in models]
     for group in ("position", "velocity", "rotation", "rate"):
         a, b = (t.groups[group] for t in tables)
         np.testing.assert_allclose(a.mae, b.mae, rtol=1e-3)
@@ -104,10 +105,10 @@ def test_one_sample_ahead_the_error_is_the_innovation(group: str):
 def test_regions_that_are_too_narrow_are_said_to_be():
     sure = replace(white(1e-3), sensor_noise=np.append([1e-4] * 3, white(1e-3).sensor_noise[3:]))
     sure = replace(sure, process_noise=0.01 * sure.process_noise)
-    segment = flown(every=1, seconds=8.0)
-    told = validate(sure, dataset(segment)).format()
+    flight = dataset(flown(every=1, seconds=8.0))
+    told = validate(sure, flight, every=20).format()
     assert "too narrow: the stated 95 % regions hold position" in told
-    held = validate(white(1.0), dataset(segment)).format()
+    held = validate(white(1.0), flight, every=20).format()
     assert "hold position" not in held
 
 

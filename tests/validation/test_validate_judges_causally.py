@@ -166,7 +166,13 @@ def test_drop_outs_here_and_there_take_no_group_from_the_verdict(share: float) -
 
 
 @pytest.mark.parametrize(
-    ("slower", "every", "first"), [(2, 2, 0), (2, 2, 1), (3, 3, 2), (5, 10, 4)]
+    ("slower", "every", "first"),
+    [
+        pytest.param(2, 2, 0, marks=pytest.mark.slow),
+        pytest.param(2, 2, 1, marks=pytest.mark.slow),
+        (3, 3, 2),
+        (5, 10, 4),
+    ],
 )
 def test_a_pose_that_is_slower_than_the_imu_is_judged_at_every_horizon(
     slower: int, every: int, first: int
@@ -281,6 +287,7 @@ def test_the_result_is_valid_and_the_coverage_of_the_true_model_is_honest() -> N
         model,
         dataset(fly(model, 900, noise=1.0)),
         adapt=1.0,
+        every=4,
         measured_start=True,
         use_compiler=False,
     )

@@ -137,7 +137,7 @@ def flown(real, effects, *, mass=1.0, wait=2.0, seconds=6.0):
     return np.array(away[round(wait / 0.01) :]), codes, bits
 
 
-@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("real", ["double", pytest.param("float", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("effects", "mass"),
     [

@@ -62,6 +62,7 @@ def test_noise_changes_neither_gain_nor_cost_of_what_is_steered():
     np.testing.assert_allclose(one.gain, other.gain[:, same], rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_tube_plans_with_a_coloured_pose():
     f = planned(NOISE["colour"])
     solver = TubeSolver(f, TubeProblem(dt=f.dt, horizon=5, planes=1))

@@ -116,8 +116,9 @@ def judged(command: list[str], steps: int, seed: int) -> None:
     assert back == of
 
 
+@pytest.mark.slow
 def test_plans_in_c_keep_their_limits(tmp_path):
-    judged(program(tmp_path, ("-std=c99", "-O1")), 1500, 1)
+    judged(program(tmp_path, ("-std=c99", "-O0")), 1500, 1)
 
 
 @pytest.mark.slow
@@ -135,7 +136,7 @@ def flown(steps: int, seed: int) -> None:
 
 
 def test_commands_of_a_pilot_keep_their_limits():
-    flown(1500, 1)
+    flown(700, 1)
 
 
 def test_a_qp_that_is_cut_off_is_no_solution_unless_it_keeps_its_limits():

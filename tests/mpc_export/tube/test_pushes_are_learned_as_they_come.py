@@ -131,6 +131,7 @@ def test_a_gyro_four_times_as_noisy_as_stated_makes_commands_no_rougher(monkeypa
     assert rough[0] < 1.05 * rough[1]
 
 
+@pytest.mark.slow
 def test_an_estimate_that_takes_over_is_no_surer_of_a_push_than_before_or_at_a_start():
     controller = adaptive()
     controller.start()

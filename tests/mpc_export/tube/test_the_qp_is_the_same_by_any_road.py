@@ -19,10 +19,14 @@ HORIZON = 6
 
 
 @functools.cache
+def functions(model):
+    return model_functions(model(), dt=0.02, with_=("covariance", "target"), measured=False)
+
+
+@functools.cache
 def solver(qp, real="double", attempts=2, horizon=HORIZON, model=cases.disturbed):
     problem = TubeProblem(dt=0.02, horizon=horizon, planes=2, attempts=attempts)
-    functions = model_functions(model(), dt=0.02, with_=("covariance", "target"), measured=False)
-    return TubeSolver(functions, problem, qp=qp, real=real)
+    return TubeSolver(functions(model), problem, qp=qp, real=real)
 
 
 def beside_a_wall(own, seed):
