@@ -357,8 +357,6 @@ class _Run:
         seen = verdict_on(found.model, self.judges, self.options.adapt)
         return found if seen is None else found.judged(seen)
 
-    # ---------------------------------------------------------------- judging
-
     def _named(self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]) -> Judged:
         """What is said of every cause of the structure, and the structure of what is said."""
         judges, alpha = splits(self.flights, self.test), self.options.alpha
@@ -386,6 +384,10 @@ class _Run:
         names = [replace(n, kept=n.kept or (all_stay and n.name in traces)) for n in names]
         gone = {n.name for n in names if n.status not in NAMED and not n.kept}
         bare = self.flights.fit(at.structure - gone, [at.known]) if gone else at
+        why = {n: impossible(bare, self.flights, n.name) * (n.status in NAMED) for n in names}
+        if any(why.values()):  # without what left
+            bent = [replace(n, status="impossible", reason=w) if w else n for n, w in why.items()]
+            return self._without_traces(bent, at)
         if not traces & gone:
             return names, bare
         whole = self.flights.fit(at.structure - (gone - traces), [at.known])
@@ -475,9 +477,8 @@ class _Run:
         from greybox.residual.learn import learn_checked
 
         try:
-            learned = learn_checked(
-                self.settled(null).model, self.flights.data, seed=self.options.seed
-            )
+            bare = self.settled(null).model
+            learned = learn_checked(bare, self.flights.data, seed=self.options.seed)
             return self._ahead(learned.model).own
         except GreyboxError as error:
             self.warnings.append(f"no attainable line: {error}")

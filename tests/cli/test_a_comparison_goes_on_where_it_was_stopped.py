@@ -71,7 +71,6 @@ def table(folder: Path) -> list[dict[str, Any]]:
     return [{k: v for k, v in r.items() if k not in TIMED} for r in rows]
 
 
-@pytest.mark.slow
 def test_what_has_ended_is_not_done_again(
     given: list[str],
     tmp_path: Path,

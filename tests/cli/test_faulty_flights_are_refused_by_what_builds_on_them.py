@@ -156,7 +156,6 @@ def test_learn_begins_with_what_is_gained_over_the_physics(capsys):
     assert {c["group"] for c in beside["changes"]} == {"rotation", "rate"}
 
 
-@pytest.mark.slow
 def test_without_test_flights_it_says_what_judged(capsys):
     main(LEARN.split())
     assert "[judged on the flights that were fitted]" in capsys.readouterr().out
