@@ -308,7 +308,7 @@ class _Run:
                 if rest.written is None:
                     self.warnings = said  # the names had said what the laws say
                     break
-                names, named, left = *fewer, rest  # even fewer may be needed beside these laws
+                (names, named), left = fewer, rest  # even fewer may be needed beside these laws
         elif worse:
             names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
             named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))

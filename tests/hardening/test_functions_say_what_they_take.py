@@ -78,7 +78,10 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "validate a vehicle": (lambda: gb.validate(VEHICLE, DATA), f"model {A_MODEL}.*got Vehicle"),
     "one horizon": (lambda: gb.validate(MODEL, DATA, horizons=0.5), r"horizons=\[0.5\]"),
     "horizons as text": (lambda: gb.validate(MODEL, DATA, horizons="0.1"), r"horizons=\[0.1\]"),
-    "adapt as text": (lambda: gb.validate(MODEL, DATA, adapt="5"), "adapt takes a number above"),
+    "adapt as text": (
+        lambda: gb.validate(MODEL, DATA, adapt="5"),
+        "adapt takes a number, zero or above",
+    ),
     "pairs of arrays": (lambda: gb.fit_linear([(T, T)]), "records takes a list of Records"),
     "learn turned round": (lambda: gb.learn(DATA, MODEL), f"model {A_MODEL}"),
     "learn on a vehicle": (lambda: gb.learn(VEHICLE, DATA), f"model {A_MODEL}"),

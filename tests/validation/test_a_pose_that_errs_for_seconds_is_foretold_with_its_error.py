@@ -67,8 +67,8 @@ def white(sigma: float):
 
 def test_the_model_that_knows_of_it_is_as_near_as_the_measured_imu_and_says_how_near():
     flight = dataset(flown())
-    found = validate(knowing(TIME, "position"), flight, every=20)
-    blind = validate(white(0.1), flight, every=20)
+    found = validate(knowing(TIME, "position"), flight, every=20, adapt=0.0)
+    blind = validate(white(0.1), flight, every=20, adapt=0.0)
     own, taken = found.table.groups["position"], blind.table.groups["position"]
     assert own.mae[9] < 1.05 * found.dead_reckoning.groups["position"].mae[9]
     assert own.mae[9] < 0.5 * taken.mae[9]

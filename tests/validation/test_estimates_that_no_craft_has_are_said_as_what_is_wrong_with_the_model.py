@@ -12,7 +12,6 @@ import pytest
 from greybox.estimation.conclusion import _bound_warnings
 from greybox.estimation.fit import Estimate, fit, noise_of
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import own_parameters
 from greybox.model.model import build_model
 from greybox.model.vehicle import Quantity, Vehicle
 from greybox.model.verdict import Outcome, Verdict
@@ -216,7 +215,7 @@ def test_noise_that_is_not_there_is_no_missing_cause(names: tuple[str, ...], mis
     found = replace(found, estimates=replace(found.estimates, parameters=stuck))
     assert any(f.kind == "bounds" for f in sanity_of(found).findings) is missing
     assert any(h.symptom is Symptom.BOUNDS for h in hints_of_fit(found)) is missing
-    said = _bound_warnings(found.parameters, own_parameters(found.model.dynamics))
+    said = _bound_warnings(found.parameters, found.model.dynamics)
     assert all(("effect list" in w) is missing for w in said) and len(said) == len(names)
 
 
