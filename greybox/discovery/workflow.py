@@ -123,9 +123,7 @@ def discover(
             return refused(faults, vehicle, settings_of(options), time.perf_counter() - began)
         demand_long_enough(train)
         train, tested, doubts = as_measured(train, tested, vehicle)
-        options = _with_noise_of_clocks(options, faults)
-        if options.adapt is None:
-            options = options.but(adapt=adaptation(tested or ()))
+        options = _as_in_a_fit(options, faults, tested)
     settings: SearchSettings = {**settings_of(options), "sample_time": sample_time(train)}
     say = onward(progress or (lambda _text, _share: None))
     run = _Run(
@@ -149,12 +147,14 @@ def discover(
     return run.carried_out()
 
 
-def _with_noise_of_clocks(options: DiscoverOptions, faults: CheckReport) -> DiscoverOptions:
-    """With noise between attitude and gyro, where that is open, as in the automatic fit or before."""
-    if options.kinematic_noise is not None:
-        return options
-    old = None if options.since is None else options.since.physics.kinematic_noise
-    return options.but(kinematic_noise=faults.loose if old is None else old)
+def _as_in_a_fit(o: DiscoverOptions, faults: CheckReport, test: Dataset | None) -> DiscoverOptions:
+    """Noise between attitude and gyro, and adaptation, where open, as the automatic fit has them."""
+    old = None if o.since is None else o.since.physics.kinematic_noise
+    loose = faults.loose if old is None else old
+    noise = loose if o.kinematic_noise is None else o.kinematic_noise
+    return o.but(
+        kinematic_noise=noise, adapt=adaptation(test or ()) if o.adapt is None else o.adapt
+    )
 
 
 def _offered(
