@@ -72,7 +72,7 @@ def _explicit(job: Job, result: Fit) -> str:
     from greybox.automatic.fit import adaptation_of
 
     arguments, prepared, recipe = job.arguments, job.prepared, recipe_of(job, result)
-    recipe = replace(recipe, adapt=adaptation_of(recipe, job.test, arguments.adapt) or None)
+    recipe = replace(recipe, adapt=adaptation_of(recipe, job.test, arguments.adapt))
     out = {f.flight for f in prepared.left_out}
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)

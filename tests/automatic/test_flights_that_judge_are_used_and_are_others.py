@@ -82,3 +82,4 @@ def test_a_short_flight_adapts_too_on_a_third_where_enough_is_left_to_judge(sets
     assert adaptation_of(Recipe(adapt=5.0), test) == adapted
     assert adaptation_of(Recipe(adapt=5.0), test, 2.0) == 2.0
     assert adaptation_of(Recipe(), test) is None
+    assert adaptation_of(Recipe(adapt=5.0), test, 0.0) == 0.0  # the explicit command says it

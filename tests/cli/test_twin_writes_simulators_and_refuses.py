@@ -102,7 +102,10 @@ def test_a_model_that_is_not_usable_is_refused(
     ("options", "line"),
     [
         (["--target", "rotorpy", "--draws", "0"], "number of draws; expected 1"),
-        (["--target", "rotorpy", "--draws", "5", "--seed", "-1"], "seed takes a whole number from 0"),
+        (
+            ["--target", "rotorpy", "--draws", "5", "--seed", "-1"],
+            "seed takes a whole number from 0",
+        ),
         (["--target", "rotorpy,rotorpy"], "target rotorpy twice"),
         (["--target", ","], "names none"),
         (["--target", "rotorpy", "--check", "a.csv"], "--check without draws"),
