@@ -28,7 +28,13 @@ from greybox.model.noise import sensor_parts
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import adapt_to_flight
-from greybox.validation.baselines import ImuBias, ImuRecord, bias_at_start, dead_reckoning
+from greybox.validation.baselines import (
+    ImuBias,
+    bias_at_start,
+    dead_reckoning,
+    has_groups,
+    imu_record,
+)
 from greybox.validation.groups import GROUPS, Groups, error_norms
 from greybox.validation.horizon import strided
 from greybox.validation.open_loop import GroupReader, predict_from
@@ -411,17 +417,11 @@ def _floor(
     references: dict[str, FloatArray],
     bias: ImuBias,
 ) -> dict[str, FloatArray] | None:
-    imu = [c for g in ("rate", "specific_force") for c in GROUPS[g].columns]
-    there = all(c in segment.channels for c in imu) and "rotation" in references
+    there = has_groups(segment.channels, "rate", "specific_force") and "rotation" in references
     if not there or physics_of(model.dynamics) is None:
         return None
     commands = filtered.record.inputs[origins + model.dynamics.window[0]]
     own = reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p, commands)
-    record = ImuRecord.of(
-        segment.matrix(GROUPS["rate"].columns),
-        segment.matrix(GROUPS["specific_force"].columns),
-        sample_time=segment.dt,
-    )
     start = {
         g: references[g][origins].copy() if g in references else own.get(g)
         for g in ("rotation", "position")
@@ -431,7 +431,7 @@ def _floor(
     attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
     gravity = float(model.physics.vehicle.gravity)
     return dead_reckoning(
-        record,
+        imu_record(segment),
         origins,
         attitude=attitude,
         velocity=own.get("velocity"),
