@@ -363,7 +363,7 @@ class Bench:
             model,
             self.test,
             horizon_samples=self.options.horizons,
-            adapt=self.options.adapt,
+            adapt=self.options.adapt or 0.0,
             every=self.every,
             skip=self.skip,
         )

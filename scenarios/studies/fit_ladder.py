@@ -136,7 +136,7 @@ def without(recipe: Mapping[str, str | None], fit: str) -> Recipe:
 
 def table_of(rung: Rung, model: IdentifiedModel, data: Dataset) -> HorizonTable:
     """Errors of a rung. Raises `SystemExit` where nothing could be predicted."""
-    found = validate(model, data, adapt=rung.adapt, skip=ADAPT, measured_start=rung.measured)
+    found = validate(model, data, adapt=rung.adapt or 0.0, skip=ADAPT, measured_start=rung.measured)
     table = found.measured_start if rung.measured else found.table
     if table is None:
         raise SystemExit(f"{rung.label}: nothing could be predicted")
