@@ -49,9 +49,9 @@ from greybox.validation.sanity import sanity_of
 def adaptation_of(recipe: Recipe, test: Dataset, asked: float | None = None) -> float | None:
     """Seconds at the start of `test` flights to adapt on: what was `asked` (0: none), else the
     recipe's own, of a shorter flight a third; None where it has none, and the model tells."""
-    if asked is not None or recipe.adapt is None or not test.flights:
+    if recipe.adapt is None or not test.flights:
         return asked
-    return adaptation(test, recipe.adapt)
+    return adaptation(test, asked, most=recipe.adapt)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -122,8 +122,7 @@ class Bench:
     fitted: bool = False
 
     def __post_init__(self) -> None:
-        asked = self.options.adapt
-        seconds = adaptation(self.test) if asked is None else asked
+        seconds = adaptation(self.test, self.options.adapt)
         self.options = replace(self.options, adapt=seconds or None)
         there = set(self.train.channels) & set(self.test.channels)
         self.outputs = tuple(n for n in IMU if n in there)

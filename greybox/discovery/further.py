@@ -43,7 +43,8 @@ def further(
     content: DiscoveryDocument, model: IdentifiedModel, data: Dataset, own: Iterable[Effect] = ()
 ) -> DiscoveryDocument:
     """The `content` of discovery.json with the evidence of new flights `data` multiplied to that of
-    its names, what speaks for them only of flights that `model` beside it foretells; `own` effects.
+    its names; for them it counts only where `model`, the one beside it, foretells all new flights.
+    `own` are effects besides the catalogue.
 
     Raises `DataError` for flights that took part or no names, `ModelError`, `FitError`.
     """

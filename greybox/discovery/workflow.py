@@ -152,9 +152,7 @@ def _as_in_a_fit(o: DiscoverOptions, faults: CheckReport, test: Dataset | None) 
     old = None if o.since is None else o.since.physics.kinematic_noise
     loose = faults.loose if old is None else old
     noise = loose if o.kinematic_noise is None else o.kinematic_noise
-    return o.but(
-        kinematic_noise=noise, adapt=adaptation(test or ()) if o.adapt is None else o.adapt
-    )
+    return o.but(kinematic_noise=noise, adapt=adaptation(test or (), o.adapt))
 
 
 def _offered(

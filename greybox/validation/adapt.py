@@ -90,13 +90,17 @@ class FixedGain(StationaryGain[None]):
         return [held(self.solution, r) for r in problem.records]
 
 
-def adaptation(flights: Iterable[Flight], most: float = SECONDS) -> float:
-    """Seconds [s] at the start of `flights` to adapt on: `most`, of a shorter flight a third; 0
-    where too little would be left to judge, or there are none.
+def adaptation(
+    flights: Iterable[Flight], asked: float | None = None, *, most: float = SECONDS
+) -> float:
+    """Seconds [s] at the start of `flights` to adapt on: what was `asked`, else `most`, of a shorter
+    flight a third; 0 where too little would be left to judge, or there are none.
 
     Of a short flight the beginning is worth as much as of a long one: judged without it, a flight
     whose gyro has another offset than those that were fitted looks like wrong torques.
     """
+    if asked is not None:
+        return float(asked)
     shortest = min(flights, key=lambda f: f.duration, default=None)
     if shortest is None:
         return 0.0

@@ -185,9 +185,8 @@ class _Work:
 
     def __post_init__(self) -> None:
         new = strangers(self.model, self.dataset)
-        asked = self.options.adapt
         self.strange = [f.name for f in new]
-        self.adapted_seconds = adaptation(new) if asked is None else float(asked)
+        self.adapted_seconds = adaptation(new, self.options.adapt)
         self.filter = Filter(self.model, use_compiler=self.options.use_compiler)
         self.reader = GroupReader(self.model)
         self.groups = self.reader.judged(self.dataset.any_channels)
