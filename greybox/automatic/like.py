@@ -8,7 +8,6 @@ seconds of its own flight are enough to correct it.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -19,9 +18,8 @@ from greybox.automatic.sets import is_felt
 from greybox.model.beliefs import DEFAULT_SIGMAS
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
+from greybox.model.units import MASSES, powers_of
 from greybox.model.vehicle import Quantity, Vehicle
-
-MASSES = ("kg", "N")
 
 
 def like(vehicle: Vehicle, source: IdentifiedModel, facts: Facts) -> Vehicle:
@@ -75,11 +73,7 @@ def _identified(source: IdentifiedModel, name: str) -> tuple[float, float]:
 def grown(unit: str, vehicle: Vehicle, source: Vehicle) -> float:
     """How much larger what has this unit is for `vehicle` than for `source`; 1 for a unit without a
     mass, which does not belong to the size of a craft."""
-    over, _, under = unit.partition("/")
-    powers: dict[str, int] = {}
-    for part, sign in ((over, 1), (under, -1)):
-        for symbol, power in re.findall(r"([A-Za-z]+)(?:\^(\d+))?", part):
-            powers[symbol] = powers.get(symbol, 0) + sign * int(power or 1)
+    powers = powers_of(unit)
     if not set(powers) & set(MASSES):
         return 1.0
     mass = vehicle.mass.value / source.mass.value

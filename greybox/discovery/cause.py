@@ -20,7 +20,7 @@ from greybox.model.absence import absence, moved_numbers, not_offered
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
-from greybox.model.known import Known
+from greybox.model.known import NOTHING, Known
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.noise import Augmented, Disturbance, Gust, SensorPart
 from greybox.model.parameter import Parameter
@@ -55,8 +55,8 @@ class Cause:
 class Causes(ABC):
     """All causes that are `offered`, on one `model` that holds what is not offered. `core` are the
     free parameters that are of no cause, `unjudged` maps what cannot be offered to the reason.
-    `known`: (value, standard deviation) of parameters of a model that was identified before.
-    `flat`: no parameter has a prior."""
+    `known` (value, standard deviation) and `untold`: of a model that was identified before, see
+    `greybox.model.known`. `flat`: no parameter has a prior."""
 
     model: Dynamics
     offered: Mapping[str, Cause]
@@ -64,6 +64,7 @@ class Causes(ABC):
     unjudged: Mapping[str, str]
     per_flight: tuple[str, ...] = ()
     known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    untold: tuple[Mapping[str, float], ...] = ()
     flat: bool = False
 
     @abstractmethod
@@ -106,11 +107,14 @@ class Causes(ABC):
         owner = self.offered.get(name.split(".")[0])
         return None if owner is None else owner.prior.get(name)
 
-    def prior(self, d: Parameter) -> Prior | None:
-        """That of a parameter where it is not what its declaration says. How large an effect is
-        nobody knows but by its order; what was stated may be another craft's."""
+    def prior(self, d: Parameter, chosen: Iterable[Cause] = ()) -> Prior | None:
+        """That of a parameter where it is not its declaration's: an effect is known by its order;
+        what was stated may be another craft's; with a `chosen` load inertia is as the file says."""
         if d.name in self.known:
-            return Prior(*self.known[d.name])
+            mean, sigma = self.known[d.name]
+            new = any(c.effect is not None and c.effect.stage == "body" for c in chosen)
+            turns = new and d.name.startswith("inertia.")
+            return Prior(mean, max(sigma, d.sigma) if turns else sigma)
         if (own := self.prior_of(d.name)) is not None:
             return Prior(*own, long_tails=d.name.split(".")[0] in self.effects)
         if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
@@ -139,10 +143,9 @@ class VehicleCauses(Causes):
 
     def built(self, structure: Iterable[str]) -> Augmented:
         """The model of a structure: core, effects, unnamed force and torque, sensor noise."""
-        chosen = [self.offered[n] for n in structure]
-        there = {c.name for c in chosen}
-        gone = [n for n in self.effects if n not in there]
-        parts = [c.part for c in chosen if c.part is not None]
+        chosen = {n: self.offered[n] for n in structure}
+        gone = [n for n in self.effects if n not in chosen]
+        parts = [c.part for c in chosen.values() if c.part is not None]
         core = self.model.without_effect(*gone) if gone else self.model
         states = [(Gust if g == "force" else Disturbance)(group=g) for g in self.groups]
         return Augmented(core=core, parts=(*parts, *states))
@@ -185,8 +188,7 @@ def cause_of(effect: Effect, vehicle: Vehicle) -> Cause:
 
 def sensor_cause(part: SensorPart, model: Dynamics) -> Cause:
     """A part of the sensors' noise as a cause; its name is that of the part."""
-    declared = part.parameters(model)
-    prior = {d.name: (d.nominal, RULES.typical * d.scale) for d in declared}
+    prior = {d.name: (d.nominal, RULES.typical * d.scale) for d in part.parameters(model)}
     return Cause(
         name=part.name,
         kind="sensor noise",
@@ -207,23 +209,20 @@ def offer(
     kinematic_noise: bool = False,
     fixed: Iterable[str] = (),
     per_flight: Iterable[str] = (),
-    known: Known | None = None,
+    known: Known = NOTHING,
 ) -> VehicleCauses:
     """The effects of the catalogue and of the user's `own` that the vehicle file and the `columns`
-    of the log allow, and the biases of the sensors.
-
-    Effects in the vehicle file, and those of the model that was `known`, are not offered again.
-    Raises `ModelError` for a log without sensors.
+    of the log allow, and the biases of the sensors; those in the file, or in the model that was
+    `known`, not again. Raises `ModelError` for a log without sensors.
     """
     columns, noncausal = tuple(columns), tuple(noncausal)
-    before = () if known is None else known.effects
 
     def build(effects: Iterable[Effect]) -> PhysicsModel:
         return build_model(
             vehicle,
             columns,
-            (*before, *effects),
-            input=None if known is None else known.input,
+            (*known.effects, *effects),
+            input=known.input,
             sample_time=sample_time,
             noncausal=noncausal,
             kinematic_noise=kinematic_noise,
@@ -243,7 +242,7 @@ def offer(
     every = {p for c in causes.values() for p in c.parameters}
     levels = [d.name for d in model.parameters if d.name.split(".")[0] in LEVELS]
     # Were these free in every model, their effect could never be needed.
-    held = {*fixed, *(n for e in chosen for n in moved_numbers(e, vehicle, "default"))}
+    held = {*fixed, *known.held, *(n for e in chosen for n in moved_numbers(e, vehicle, "default"))}
     core = tuple(
         d.name
         for d in model.parameters
@@ -255,5 +254,6 @@ def offer(
         core=core,
         unjudged=unjudged,
         per_flight=(*per_flight, *(levels if "vbat" not in columns else [])),
-        known={} if known is None else known.prior,
+        known=known.prior,
+        untold=known.untold,
     )

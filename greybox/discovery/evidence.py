@@ -23,6 +23,7 @@ from greybox.estimation.fit import Fit, concluded
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.laplace import at_bound, log_evidence
 from greybox.estimation.options import FitOptions
+from greybox.estimation.other_scales import on_other_scales
 from greybox.estimation.prior import Prior
 from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
@@ -262,7 +263,7 @@ class Flights:
         options = choices(self.causes, self.options, found.structure, problem.dynamics)
         given = problem, self.data, options, found.theta, found.status
         with threadpool_limits(limits=1):
-            return concluded(*given, time.perf_counter())
+            return on_other_scales(concluded(*given, time.perf_counter()), self.causes.untold)
 
 
 def choices(
@@ -273,7 +274,7 @@ def choices(
     declared = {d.name: d for d in model.parameters}
     own = [p for c in chosen for p in c.parameters if p in declared]
     lasting = [n for n in declared if n.split(".")[0] == "disturbance"]
-    priors = {n: p for n, d in declared.items() if (p := causes.prior(d)) is not None}
+    priors = {n: p for n, d in declared.items() if (p := causes.prior(d, chosen)) is not None}
     if causes.flat:
         free = (*causes.core, *own, *lasting)
         means = {n: priors[n][0] if n in priors else declared[n].nominal for n in free}

@@ -146,7 +146,7 @@ def _log_e(flights: Flights, told: Fitted, effect: NamedRow, model: IdentifiedMo
     """The log e-value of a name by flights that the structure `told` with it was fitted to."""
     causes, name, left = flights.causes, effect["name"], told.structure - {effect["name"]}
     nulls = {n: null for n, (null, _) in causes.offered[name].prior.items()}
-    bare = replace(causes, known=known_numbers(model, given=nulls))
+    bare = replace(causes, known=known_numbers(model, given={**nulls, **since(model).held}))
     rival = replace(flights, causes=bare, _known={}).fit(left, [told.known])
     logs = [told.log_evidence - rival.log_evidence - told.may_gain - rival.may_gain]
     instead = frozenset(str(effect["against"]).split(" + "))

@@ -20,7 +20,7 @@ from greybox.data import Dataset
 from greybox.data.checks import CheckReport
 from greybox.data.halves import demand_apart
 from greybox.data.lead import without_lead_in
-from greybox.discovery.cause import Causes, offer
+from greybox.discovery.cause import BASE, Causes, offer
 from greybox.discovery.certificate import certificates, certificates_beside, splits
 from greybox.discovery.document import SearchSettings, settings_of
 from greybox.discovery.evidence import Fitted, Flights
@@ -52,7 +52,7 @@ from greybox.journal import spared
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.faults import faults_of
 from greybox.model.identified import IdentifiedModel
-from greybox.model.known import known_numbers, since
+from greybox.model.known import NOTHING, known_numbers, since
 from greybox.model.layer import physics_of
 from greybox.model.noise_free import as_measured
 from greybox.model.vehicle import Vehicle
@@ -161,7 +161,7 @@ def _offered(
     """The causes on offer."""
     causes: Causes
     if isinstance(subject, Vehicle):
-        known = None if options.since is None else since(options.since)
+        known = NOTHING if options.since is None else since(options.since)
         causes = offer(
             subject,
             train.channels,
@@ -274,7 +274,7 @@ class _Run:
             separating=self._separated(names, at),
             steps=tuple(search.steps),
             sensors=tuple(sensor_table(found)),
-            base=tuple(sorted(causes.base)),
+            base=tuple(n for n in sorted(BASE) if n in found.model.effects),
             lawful=lawful,
             denied=denied(self.settled(left.written or at), causes.core),
         )

@@ -538,6 +538,7 @@ def _identified(
         covariance=errors.matrix[np.ix_(shared, shared)],
         per_flight=per_flight,
         flight_spread=spread,
+        flight_covariance=_with_means(problem, errors, shared, tuple(spread)),
         process_noise=process,
         sensor_noise=sensor,
         weak=100.0 * np.max([r.x0_sigma for r in problem.records], axis=0),
@@ -550,6 +551,23 @@ def _identified(
         trained_samples=frozenset().union(*(f.known_by for f in data)),
         recipes=data.recipes,
     )
+
+
+def _with_means(
+    problem: Problem, errors: _Errors, shared: Sequence[int], own: Sequence[str]
+) -> FloatArray:
+    """Covariance (n + k, k) of the `shared` unknowns, and of the means over the flights of the k
+    parameters that every flight has of its `own`, with these means."""
+    count = len(problem.unknowns)
+    means = np.zeros((len(own), count))
+    for row, name in zip(means, own, strict=True):
+        places = [
+            i for i, u in enumerate(problem.unknowns) if u.flight is not None and u.name == name
+        ]
+        row[places] = 1.0 / max(len(places), 1)
+    rows = np.vstack([np.eye(count)[list(shared)], means])
+    known = np.where(np.isfinite(errors.matrix), errors.matrix, 0.0)
+    return np.asarray(rows @ known @ means.T)
 
 
 def _domain(data: Dataset) -> dict[str, tuple[float, float]]:

@@ -73,7 +73,9 @@ class IdentifiedModel(Shown):
 
     `values` holds every model parameter (per-flight ones at their mean over the training flights),
     `per_flight` the values of each training flight, `flight_spread` name -> (mean, standard
-    deviation between flights). `covariance` belongs to `covariance_names` (shared parameters).
+    deviation between flights). `covariance` belongs to `covariance_names` (shared parameters),
+    `flight_covariance` (n + k, k) says how these and the means of the k numbers of `flight_spread`
+    vary with those means ((0, 0): nobody said).
     `considered`: of parameters that were held although they are not exact, name -> (standard error,
     how far each estimate moves per unit, per-flight ones on average); `covariance` includes what
     that does, `flight_spread` does not. `form_covariance`: of covariance_names, what the flights
@@ -97,6 +99,7 @@ class IdentifiedModel(Shown):
     form_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     per_flight: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     flight_spread: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    flight_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     process_noise: FloatArray
     sensor_noise: FloatArray
     weak: FloatArray
@@ -267,6 +270,7 @@ class IdentifiedModel(Shown):
             **({"considered": _considered_to_dict(self)} if self.considered else {}),
             **_said(
                 form_covariance=self.form_covariance if self.form_errors else None,
+                flight_covariance=self.flight_covariance if self.flight_covariance.size else None,
                 recipes=self.recipes,
             ),
             **(
@@ -387,6 +391,7 @@ def _identified_from_dict(data: Parsed, dynamics: Dynamics, where: str) -> Ident
         form_covariance=_form(data),
         per_flight={k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()},
         flight_spread={k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()},
+        flight_covariance=np.asarray(data.get("flight_covariance", np.zeros((0, 0))), dtype=float),
         process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
         sensor_noise=np.array([float(data["sensor_noise"][n]) for n in dynamics.innovations.names]),
         weak=np.asarray(data["weak"], dtype=float),
@@ -530,6 +535,23 @@ def _check(model: IdentifiedModel) -> None:
         np.isfinite(model.form_covariance).all() and (np.diag(model.form_covariance) >= 0).all()
     ):
         raise ValueError("an error of a form is negative or not finite")
+    _check_errors(model)
+    texts = (*model.trained_on, *model.covariance_names, *(model.recipes or {}).values())
+    if not all(isinstance(n, str) for n in texts):
+        raise ValueError("a name is not a text")
+
+
+def _check_errors(model: IdentifiedModel) -> None:
+    """Raises `ValueError` where errors of what was held, or of what flights have, do not fit what
+    was estimated."""
+    own = len(model.flight_spread)
+    if model.flight_covariance.size and model.flight_covariance.shape != (
+        len(model.covariance_names) + own,
+        own,
+    ):
+        raise ValueError("the covariance of what flights have is not of what was estimated")
+    if not np.isfinite(model.flight_covariance).all():
+        raise ValueError("a covariance of what flights have is not finite")
     errors = [x for s, by in model.considered.values() for x in (s, *by.values())]
     if not np.isfinite(errors).all():
         raise ValueError("an error of a held parameter is not finite")
@@ -539,6 +561,3 @@ def _check(model: IdentifiedModel) -> None:
             raise ValueError(f"the error of {name}, which was held, is negative: {sigma:g}")
         if foreign := sorted(set(by) - estimated):
             raise ValueError(f"{name} moves {foreign[0]}, which was not estimated")
-    texts = (*model.trained_on, *model.covariance_names, *(model.recipes or {}).values())
-    if not all(isinstance(n, str) for n in texts):
-        raise ValueError("a name is not a text")

@@ -2,35 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Self
 
 import numpy as np
 from scipy.special import stdtrit
 
+from greybox.model.absence import TYPICAL
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 
 LEAST = 1e-6
 """Share of a variance that is left at least where another number is given."""
+SCALE = "mass"
+"""Flights show forces and moments per mass: with mass, inertia, forces and moments larger by one
+factor a craft flies the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """What an identified model says: its effects, (value, sigma) of every number, and what drives
-    it."""
+    """What an identified model says: its effects, (value, sigma) of every number as what is `held`
+    is given, `untold` (see there), and what drives it."""
 
-    effects: tuple[Effect, ...]
-    prior: Mapping[str, tuple[float, float]]
-    input: Literal["command", "speed"]
+    effects: tuple[Effect, ...] = ()
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict)
+    untold: tuple[Mapping[str, float], ...] = ()
+    input: Literal["command", "speed"] | None = None
+
+
+NOTHING = Known()
+"""Of a craft that nobody has identified."""
 
 
 def since(model: IdentifiedModel) -> Known:
     """An identified model of a vehicle as what is known before new flights."""
-    physics = model.physics
-    return Known(effects=tuple(physics.effects), prior=known_numbers(model), input=physics.input)
+    joint = _Joint.of(model)
+    at = [joint.names.index(n) for n in (SCALE,) if n in joint.names]
+    held = {joint.names[i]: float(joint.values[i]) for i in at if joint.covariance[i, i] > 0.0}
+    return Known(
+        effects=tuple(model.physics.effects),
+        prior=known_numbers(model, held),
+        held=held,
+        untold=untold(model, held),
+        input=model.physics.input,
+    )
 
 
 def known_numbers(
@@ -40,20 +58,17 @@ def known_numbers(
     error of one more flight. With numbers that are `given`: of the others, were these so (a
     Gaussian posterior).
 
+    A new flight's own numbers are believed to be about the means of earlier ones, within what is
+    usual at the least. The others are known as these means are given: a thrust of which flights
+    tell only the product with their own level would else take up what the product denies.
+
     The numbers are taken for independent by whoever gets them. Five that share one unknown scale
     would then measure it five times. So each variance is multiplied by the sum of its absolute
     correlations: the diagonal matrix of these is at least the covariance (Gershgorin), and no
     direction is known better than it was.
     """
-    names, values, covariance = _joint(model)
-    given = dict(given or {})
-    at = [i for i, n in enumerate(names) if n in given]
-    if at:
-        gain = np.linalg.lstsq(covariance[np.ix_(at, at)], covariance[at], rcond=None)[0]
-        values += gain.T @ (np.array([given[names[i]] for i in at]) - values[at])
-        whole = np.diag(covariance)
-        covariance = covariance - gain.T @ covariance[at]
-        np.fill_diagonal(covariance, np.maximum(np.diag(covariance), LEAST * whole))
+    means = {n: m for n, (m, _) in model.flight_spread.items()}
+    names, values, covariance = _Joint.of(model).were(means | dict(given or {}))
     variances = np.diag(covariance) * _shared(covariance)
     variances += np.array([model.form_errors.get(n, 0.0) ** 2 for n in names])
     prior = {
@@ -61,25 +76,72 @@ def known_numbers(
         for n, v, s in zip(names, values, variances, strict=True)
         if s > 0
     }
-    # What did not vary between flights is no reason to believe that it never does.
+    # What hardly varied between flights of a day is no reason to believe that it never does.
+    usual = {d.name: TYPICAL * d.scale for d in model.dynamics.parameters}
     spread = {
-        n: (float(m), float(s) * _of_one_more(model, n))
+        n: (float(m), max(float(s) * _of_one_more(model, n), usual[n]))
         for n, (m, s) in model.flight_spread.items()
     }
-    return prior | {n: (m, s if s > 0 else np.inf) for n, (m, s) in spread.items()}
+    return prior | spread
 
 
-def _joint(model: IdentifiedModel) -> tuple[list[str], FloatArray, FloatArray]:
-    """(names, values, covariance) of what was estimated, and of what was held and not exact."""
-    n, held = len(model.covariance_names), list(model.considered)
-    names = [*model.covariance_names, *held]
-    covariance = np.zeros((len(names), len(names)))
-    covariance[:n, :n] = model.covariance
-    for j, (sigma, moves) in enumerate(model.considered.values(), n):
-        together = [sigma**2 * moves.get(name, 0.0) for name in names[:n]]
-        covariance[:n, j] = covariance[j, :n] = together
-        covariance[j, j] = sigma**2
-    return names, np.array([float(model.values[name]) for name in names]), covariance
+def untold(model: IdentifiedModel, held: Collection[str]) -> tuple[Mapping[str, float], ...]:
+    """How numbers move together, by one standard error at a time, where `known_numbers` are as what
+    is `held` and the means of flights are given: new flights tell nothing of that."""
+    joint = _Joint.of(model)
+    given = [i for i, n in enumerate(joint.names) if n in held or n in model.flight_spread]
+    if not given:
+        return ()
+    size, axes = np.linalg.eigh(joint.covariance[np.ix_(given, given)])
+    moves = joint.gain(given).T @ axes * np.sqrt(np.maximum(size, 0.0))
+    return tuple(
+        {n: float(m) for n, m in zip(joint.names, column, strict=True) if m} for column in moves.T
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Joint:
+    """Names, values (n,) and covariance (n, n) of what was estimated, of what was held and not
+    exact, and of the means over flights, as far as the model says how these vary with others."""
+
+    names: Sequence[str]
+    values: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, model: IdentifiedModel) -> Self:
+        n, held = len(model.covariance_names), len(model.considered)
+        own = list(model.flight_spread) if model.flight_covariance.size else []
+        names = [*model.covariance_names, *model.considered, *own]
+        covariance = np.zeros((len(names), len(names)))
+        at = [*range(n), *range(n + held, len(names))]
+        if own:
+            covariance[np.ix_(at, at[n:])] = model.flight_covariance
+            covariance[np.ix_(at[n:], at)] = model.flight_covariance.T
+        covariance[:n, :n] = model.covariance
+        for j, (sigma, moves) in enumerate(model.considered.values(), n):
+            covariance[at, j] = [sigma**2 * moves.get(names[i], 0.0) for i in at]
+            covariance[j] = covariance[:, j]
+            covariance[j, j] = sigma**2
+        values = np.array([float(model.values[name]) for name in names])
+        return cls(names=names, values=values, covariance=covariance)
+
+    def gain(self, given: Sequence[int]) -> FloatArray:
+        """How far all move (k, n) per unit of those at the places `given` (k,)."""
+        square = self.covariance[np.ix_(given, given)]
+        return np.asarray(np.linalg.lstsq(square, self.covariance[given], rcond=None)[0])
+
+    def were(self, given: Mapping[str, float]) -> tuple[Sequence[str], FloatArray, FloatArray]:
+        """Names, values and covariance, were those that are `given` so."""
+        at = [i for i, n in enumerate(self.names) if n in given]
+        if not at:
+            return self.names, self.values, self.covariance
+        gain = self.gain(at)
+        off = np.array([given[self.names[i]] for i in at]) - self.values[at]
+        covariance = self.covariance - gain.T @ self.covariance[at]
+        least = LEAST * np.diag(self.covariance)
+        np.fill_diagonal(covariance, np.maximum(np.diag(covariance), least))
+        return self.names, self.values + gain.T @ off, covariance
 
 
 def _shared(covariance: FloatArray) -> FloatArray:

@@ -30,6 +30,8 @@ def identified() -> IdentifiedModel:
         form_errors={},
         per_flight={},
         flight_spread={"payload_mass.mu": (0.1, 0.02)},
+        flight_covariance=np.zeros((0, 0)),
+        dynamics=SimpleNamespace(parameters=[SimpleNamespace(name="payload_mass.mu", scale=0.005)]),
         physics=SimpleNamespace(
             input="command",
             effects=(effect_by_name("rotational_damping"), effect_by_name("payload_mass")),

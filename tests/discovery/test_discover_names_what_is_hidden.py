@@ -20,7 +20,7 @@ from greybox.discovery.workflow import discover
 from greybox.errors import DataError, GreyboxError
 from greybox.files import to_plain
 from greybox.model.noise import sensor_parts
-from greybox.plants.effects import PayloadMass
+from greybox.plants.effects import PayloadMass, PlantEffect, ThrustLevel
 from tests.discovery import small_world
 from tests.discovery.small_world import DAMPING, SHORT, shorten, vehicle
 from tests.discovery.test_noise_that_is_not_felt_is_not_kept import coloured
@@ -150,6 +150,30 @@ def test_what_changed_since_a_model_was_identified_has_a_name(short: None):
     train, test = small_world.flown(DAMPING), small_world.flown(DAMPING, seeds=(11,), name="test")
     found = discover(vehicle(), train, test, since=before)
     assert [e["name"] for e in found.effects()] == ["rotational_damping"]
+
+
+@pytest.mark.slow
+def test_a_load_is_told_from_rotors_that_are_weaker_by_as_much():
+    """Both make thrust over mass smaller; torque over inertia is smaller for weak rotors alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        shorten(patch, "payload_mass", "thrust_level")
+
+        def flights(*hidden: PlantEffect) -> tuple[Dataset, Dataset]:
+            return small_world.flown(*hidden), small_world.flown(*hidden, seeds=(11,), name="test")
+
+        before = discover(vehicle(), *flights()).model
+        found = discover(vehicle(), *flights(PayloadMass(mu=0.15)), since=before)
+        (name,) = found.effects()
+        assert (name["name"], name["status"]) == ("payload_mass", "certified")
+        size = found.numbers_of("payload_mass")["mu"]
+        assert 0.0 < size["std"] < 0.05
+        assert abs(size["value"] - 0.15) < 2.5 * size["std"]
+        weak = discover(vehicle(), *flights(ThrustLevel(s=-0.13)), since=before)
+        assert [e["name"] for e in weak.effects()] == []
+        now, was = (
+            (1.0 + m.values["thrust_level.s"]) * m.values["thrust.c2"] for m in (weak.model, before)
+        )
+        assert now / was == pytest.approx(0.87, abs=0.01)
 
 
 def test_further_flights_multiply_the_evidence(damped: tuple[Discovery, list[Discovery]]):

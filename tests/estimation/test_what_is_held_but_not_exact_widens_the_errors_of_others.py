@@ -12,6 +12,7 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import ModelError
 from greybox.estimation.considered import by_flights_alone
 from greybox.estimation.fit import fit
+from greybox.estimation.other_scales import on_other_scales
 from greybox.files import FileFormatError
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
@@ -205,3 +206,31 @@ def test_what_flights_tell_of_a_held_parameter_counts_blocks_where_these_scatter
         2 * exact[0], rel=0.1
     )
     assert np.isinf(by_flights_alone(hessian, *places, sigma, white[:7])).all()
+
+
+def test_what_no_flight_tells_adds_the_same_to_a_fit_that_did_not_ask():
+    """A fit that holds the mass as exact, and learns afterwards that nobody knows the unit."""
+    asked = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES)
+    exact = fit(cart(), record(), fixed=["mass"], **CHOICES)
+    assert exact.parameters["gain"].std < 0.5 * asked.parameters["gain"].std
+    found = on_other_scales(exact, [{"mass": SIGMA}])
+    assert found.parameters["gain"].std == pytest.approx(asked.parameters["gain"].std, rel=1e-3)
+    assert found.model.covariance == pytest.approx(asked.model.covariance, rel=2e-3)
+    for (sigma, moves), (own, by) in zip(
+        found.model.considered.values(), asked.model.considered.values(), strict=True
+    ):
+        assert sigma == pytest.approx(own)
+        assert moves["gain"] == pytest.approx(by["gain"], rel=1e-3)
+    assert on_other_scales(exact, ()) is exact
+
+
+def test_how_shared_numbers_vary_with_means_of_flights_is_kept(tmp_path):
+    data = Dataset(flights=tuple(f for n in "ab" for f in record(n).flights))
+    found = fit(cart(), data, fixed=["mass"], per_flight=["gain"], **CHOICES)
+    (variance,) = found.model.flight_covariance.ravel()
+    assert variance**0.5 <= found.parameters["gain"].std * (1 + 1e-9)
+    assert variance == pytest.approx(
+        sum(s**2 for _, s in found.parameters["gain"].per_flight.values()) / 4, rel=0.2
+    )
+    kept = IdentifiedModel.load(found.model.save(tmp_path / "model.json"))
+    assert (kept.flight_covariance == found.model.flight_covariance).all()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from greybox.model.identified import IdentifiedModel
-from greybox.model.known import known_numbers
+from greybox.model.known import known_numbers, untold
 
 VALUES = {
     "thrust.c2": 6.0,
@@ -21,7 +21,9 @@ VALUES = {
     "torque.c2": 0.11,
     "mass": 0.6,
     "gyro_bias.b_x": 0.01,
+    "thrust_level.s": 0.0,
 }
+USUAL = {"gyro_bias.b_x": 1e-3, "thrust_level.s": 0.01}
 NAMES = tuple(VALUES)[:4]
 SIZE = np.array([VALUES[n] for n in NAMES]) / 100
 
@@ -32,10 +34,14 @@ def model_of(covariance: np.ndarray, **changes: object) -> IdentifiedModel:
         "considered": {},
         "form_errors": {},
         "flight_spread": {},
+        "flight_covariance": np.zeros((0, 0)),
         "per_flight": {},
     }
     model = SimpleNamespace(
         values=VALUES,
+        dynamics=SimpleNamespace(
+            parameters=[SimpleNamespace(name=n, scale=s) for n, s in USUAL.items()]
+        ),
         covariance_names=NAMES,
         covariance=covariance * np.outer(SIZE, SIZE),
         **(nothing | changes),
@@ -86,3 +92,47 @@ def test_few_flights_say_little_of_the_next_one(flights: int, factor: float) -> 
     value, error = known_numbers(model)["gyro_bias.b_x"]
     assert value == 0.01
     assert error == pytest.approx(0.02 * factor, rel=0.01)
+
+
+def of_a_level() -> IdentifiedModel:
+    """Thrust of which flights tell only the product with their own level, to a thousandth."""
+    own = {f"run{i}": {"thrust_level.s": 0.0} for i in range(9)}
+    size = VALUES["thrust.c2"]
+    covariance = np.diag([1.0, 1e-2, 1e-2, 1e-2])
+    cross = np.zeros((5, 1))
+    cross[0, 0], cross[4, 0] = -size * (0.01**2 - 0.001**2), 0.01**2 - 0.001**2
+    return model_of(
+        covariance,
+        per_flight=own,
+        flight_spread={"thrust_level.s": (0.0, 1e-4)},
+        flight_covariance=cross,
+    )
+
+
+def test_what_only_shows_with_the_level_of_a_flight_is_known_as_that_level_is_given() -> None:
+    value, error = known_numbers(of_a_level())["thrust.c2"]
+    assert value == VALUES["thrust.c2"]
+    assert error == pytest.approx(1e-3 * value, rel=0.01)
+
+
+def test_what_no_new_flight_tells_is_how_thrust_and_level_move_against_each_other() -> None:
+    (together,) = untold(of_a_level(), ())
+    assert together["thrust_level.s"] == pytest.approx(-together["thrust.c2"] / 6.0)
+    assert abs(together["thrust.c2"]) == pytest.approx(0.01 * 6.0, rel=0.01)
+
+
+def test_with_the_mass_held_a_ratio_is_as_well_known_as_it_was() -> None:
+    """What is untold and what is known together are the model's covariance again."""
+    mass = VALUES["mass"]
+    moves = {n: VALUES[n] / mass for n in NAMES}
+    model = model_of(np.ones((4, 4)) + 1e-4 * np.eye(4), considered={"mass": (mass / 100, moves)})
+    known = known_numbers(model, {"mass": mass})
+    (together,) = untold(model, ("mass",))
+    for n in NAMES:
+        assert known[n][1] < 2e-4 * VALUES[n]
+        assert np.hypot(known[n][1], together[n]) == pytest.approx(VALUES[n] / 100, rel=1e-3)
+    assert abs(together["mass"]) == pytest.approx(mass / 100)
+
+
+def test_what_hardly_varied_between_flights_may_vary_as_usual_on_another_day() -> None:
+    assert known_numbers(of_a_level())["thrust_level.s"] == (0.0, 0.03)
