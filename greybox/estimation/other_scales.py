@@ -41,10 +41,12 @@ def on_other_scales(found: Fit, untold: Sequence[Mapping[str, float]]) -> Fit:
     every = rows((*shared, *own))
     covariance = model.covariance + every[: len(shared)] @ every[: len(shared)].T
     flights = model.flight_covariance + every @ every[len(shared) :].T
-    mass = rows([SCALE])[0]
-    variance = float(mass @ mass)
-    by = dict(zip((*shared, *own), (every @ mass / variance).tolist())) if variance > 0 else {}
-    held = {SCALE: (variance**0.5, by)} if by and SCALE not in shared else {}
+    held = {}
+    for name in sorted({n for t in untold for n in t} - {*shared, *own} & units.keys()):
+        (row,) = rows([name])
+        variance = float(row @ row)
+        moves = zip((*shared, *own), (every @ row / variance).tolist(), strict=True)
+        held[name] = (variance**0.5, dict(moves))
     wider = {n: _wider(e, float((rows([n]) ** 2).sum())) for n, e in found.parameters.items()}
     model = replace(
         model,

@@ -24,7 +24,7 @@ factor a craft flies the same."""
 @dataclass(frozen=True, kw_only=True)
 class Known:
     """What an identified model says: its effects, (value, sigma) of every number as what is `held`
-    is given, `untold` (see there), and what drives it."""
+    (the mass, and what it held itself) is given, `untold` (see there), and what drives it."""
 
     effects: tuple[Effect, ...] = ()
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -39,9 +39,9 @@ NOTHING = Known()
 
 def since(model: IdentifiedModel) -> Known:
     """An identified model of a vehicle as what is known before new flights."""
-    joint = _Joint.of(model)
-    at = [joint.names.index(n) for n in (SCALE,) if n in joint.names]
-    held = {joint.names[i]: float(joint.values[i]) for i in at if joint.covariance[i, i] > 0.0}
+    errors = {**model.standard_errors, **{n: s for n, (s, _) in model.considered.items()}}
+    names = [n for n in (SCALE, *model.considered) if errors.get(n, 0.0) > 0.0]
+    held = {n: float(model.values[n]) for n in names}
     return Known(
         effects=tuple(model.physics.effects),
         prior=known_numbers(model, held),

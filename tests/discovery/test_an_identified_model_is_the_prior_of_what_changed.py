@@ -26,6 +26,7 @@ def identified() -> IdentifiedModel:
         values={n: v for n, (v, _) in KNOWN.items()} | {"payload_mass.mu": 0.1},
         covariance=np.diag([s**2 for _, s in KNOWN.values()]),
         covariance_names=tuple(KNOWN),
+        standard_errors={n: s for n, (_, s) in KNOWN.items()},
         considered={},
         form_errors={},
         per_flight={},
@@ -61,3 +62,16 @@ def test_its_numbers_with_their_errors_are_the_prior():
 
 def test_what_differs_from_flight_to_flight_is_known_with_that_spread():
     assert causes().known["payload_mass.mu"] == (0.1, 0.02)
+
+
+def test_the_mass_and_what_the_model_held_are_held():
+    model = identified()
+    model.values["mass"] = 0.7
+    model.values["torque.c2"] = 1e-7
+    model.considered = {"mass": (7e-3, {"thrust.c2": 1.5e-5}), "torque.c2": (1e-8, {})}  # type: ignore[misc]
+    known = since(model)
+    assert known.held == {"mass": 0.7, "torque.c2": 1e-7}
+    found = offer(vehicle(), flown().channels, sample_time=0.01, known=known)
+    assert not {"mass", "torque.c2"} & set(found.core)
+    assert "thrust.c2" in found.core
+    assert found.untold == known.untold
