@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -62,6 +62,28 @@ def sum_of(first: Expr, second: Expr) -> Expr:
     if first is None or second is None:
         return second if first is None else first
     return first + second
+
+
+Rates = Callable[[Mapping[str, Expr], Expr], dict[str, Expr]]
+"""Derivatives of named blocks of states, of these blocks and one more vector."""
+
+
+def written_once(rates: Rates, blocks: Mapping[str, Expr], more: Expr) -> Rates:
+    """The same `rates`, where expressions (SX) of the shapes of `blocks` and `more` are put into
+    what was written for the first of them: that takes a hundredth of the time of writing it again.
+    """
+    like = [*blocks.values(), more]
+    if not all(isinstance(v, ca.SX) for v in like):
+        return rates
+    free = [ca.SX.sym("at", *v.shape) for v in like]
+    made = rates(dict(zip(blocks, free, strict=False)), free[-1])
+
+    def put_in(states: Mapping[str, Expr], last: Expr) -> dict[str, Expr]:
+        given = [*(ca.SX(states[b]) for b in blocks), ca.SX(last)]
+        found = ca.substitute([ca.SX(v) for v in made.values()], free, given)
+        return dict(zip(made, found, strict=True))
+
+    return put_in
 
 
 class Layout:
