@@ -196,3 +196,38 @@ def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
 def mapped(function: ca.Function, n: int) -> Expr:
     """A function of n samples beside each other; what was made before is known."""
     return function.map(n)
+
+
+class OnArrays:
+    """A function of CasADi's VM with arrays of its own for what goes in and out, which a call does
+    not make anew: a sample at a time, that is most of what a small step costs.
+
+    Takes vectors, matrices column by column; returns matrices that hold until the next call.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer: Expr
+        self._buffer, self._evaluate = function.buffer()
+        self._given: list[FloatArray] = []
+        for i in range(function.n_in()):
+            own = np.zeros(max(function.nnz_in(i), 1))
+            self._buffer.set_arg(i, own.data)
+            self._given.append(own[: function.nnz_in(i)])
+        self._results: list[FloatArray] = []
+        self._stored: list[tuple[FloatArray, FloatArray, IntArray]] = []
+        for i in range(function.n_out()):
+            pattern = function.sparsity_out(i)
+            stored, whole = np.zeros(max(pattern.nnz(), 1)), np.zeros(pattern.numel())
+            self._buffer.set_res(i, stored.data)
+            place = np.array(pattern.find(), dtype=np.int64)
+            self._stored.append((stored, whole, place))
+            self._results.append(whole.reshape(pattern.shape, order="F"))
+
+    def __call__(self, *given: npt.ArrayLike) -> list[FloatArray]:
+        """The results at these arguments."""
+        for own, value in zip(self._given, given, strict=True):
+            own[:] = value
+        self._evaluate()
+        for stored, whole, place in self._stored:
+            whole[place] = stored[: place.size]
+        return self._results

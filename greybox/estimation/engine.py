@@ -509,6 +509,5 @@ def unfelt_place(dynamics: Dynamics) -> frozenset[str]:
         return frozenset(
             n.removeprefix("position.")
             for i, n in enumerate(names)
-            if n in ("position.x", "position.y", "position.z")
-            and not ca.depends_on(rest, at.x[i])
+            if n in ("position.x", "position.y", "position.z") and not ca.depends_on(rest, at.x[i])
         )

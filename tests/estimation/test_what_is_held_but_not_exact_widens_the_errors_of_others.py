@@ -65,7 +65,7 @@ CHOICES = {"predictor": "simulation", "use_compiler": False}
 @cache
 def found_with(*held: str) -> Fit:
     """The cart with a stated error of its mass: "fixed", "considered" or, without, free."""
-    return fit(cart(), record(), **dict.fromkeys(held, ["mass"]), **CHOICES)
+    return fit(cart(), record(), **{key: ["mass"] for key in held}, **CHOICES)
 
 
 @pytest.fixture(scope="module")
