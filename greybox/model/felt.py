@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -55,25 +55,10 @@ class Felt:
     def blocks(self) -> tuple[str, ...]:
         """State blocks of the rigid body that some sensor feels, directly or through other
         states."""
-        x = self._symbols()
-        now = self._at_rest(x, ca.SX.sym("w", 6))
-        # Gravity enters the velocity equation in body axes through the attitude.
-        turn = now.flow.rotation
-        rates = dict(now.changes) | {
-            "position": x["velocity"],
-            "velocity": turn.T @ (turn @ now.force + ca.vertcat(0, 0, -1)) + now.flow.velocity * 0,
-            "attitude": quat_derivative(x["attitude"], x["rate"]),
-            "rate": now.alpha,
-        }
-        found: set[str] = set()
-        frontier = [now.readings]
-        while frontier:
-            expression = frontier.pop()
-            for b, symbol in x.items():
-                if b not in found and ca.which_depends(expression, symbol, 1, True).count(True):
-                    found.add(b)
-                    frontier.append(rates[b])
-        return tuple(b for b in BLOCKS if b in found)
+        try:
+            return _blocks(self)
+        except TypeError:  # an effect of one's own that cannot be hashed
+            return _blocks.__wrapped__(self)
 
     @cached_property
     def force(self) -> bool:
@@ -92,3 +77,27 @@ class Felt:
         now = self._at_rest(x, ca.DM.zeros(6))
         felt = ca.vertcat(now.force, now.alpha, *now.changes.values())
         return any(ca.which_depends(felt, x["position"], 1, False))
+
+
+@lru_cache(maxsize=256)
+def _blocks(felt: Felt) -> tuple[str, ...]:
+    """Known for every model that is made again, as with other values or for a further flight."""
+    x = felt._symbols()
+    now = felt._at_rest(x, ca.SX.sym("w", 6))
+    # Gravity enters the velocity equation in body axes through the attitude.
+    turn = now.flow.rotation
+    rates = dict(now.changes) | {
+        "position": x["velocity"],
+        "velocity": turn.T @ (turn @ now.force + ca.vertcat(0, 0, -1)) + now.flow.velocity * 0,
+        "attitude": quat_derivative(x["attitude"], x["rate"]),
+        "rate": now.alpha,
+    }
+    found: set[str] = set()
+    frontier = [now.readings]
+    while frontier:
+        expression = frontier.pop()
+        for b, symbol in x.items():
+            if b not in found and ca.which_depends(expression, symbol, 1, True).count(True):
+                found.add(b)
+                frontier.append(rates[b])
+    return tuple(b for b in BLOCKS if b in found)
