@@ -79,7 +79,7 @@ def written_once(rates: Rates, blocks: Mapping[str, Expr], more: Expr) -> Rates:
     made = rates(dict(zip(blocks, free, strict=False)), free[-1])
 
     def put_in(states: Mapping[str, Expr], last: Expr) -> dict[str, Expr]:
-        given = [*(ca.SX(states[b]) for b in blocks), ca.SX(last)]
+        given = [ca.densify(ca.SX(v)) for v in (*(states[b] for b in blocks), last)]
         found = ca.substitute([ca.SX(v) for v in made.values()], free, given)
         return dict(zip(made, found, strict=True))
 
