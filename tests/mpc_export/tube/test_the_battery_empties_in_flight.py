@@ -115,7 +115,7 @@ def test_so_does_the_controller_and_says_it_once():
     assert away[100:].max() < 0.02
     assert own.p[0] == EMPTY
     assert set(events(own)) == {"vbat is beyond what was seen in training"}
-    away, _ = flown(own, own, 6.0, sooner, untold)
+    away, _ = flown(own, own, 8.0, sooner, untold)
     assert away[200:].max() < 0.02
     assert own.p[0] == pytest.approx(EMPTY, abs=0.05)
     assert events(own).count("vbat is not known") == 1
