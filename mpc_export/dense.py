@@ -3,6 +3,8 @@ any backend can run."""
 
 from __future__ import annotations
 
+import functools
+
 import casadi as ca
 
 from greybox.symbolic import Expr
@@ -40,3 +42,10 @@ def cholesky_solve(low: list[list[Expr]], b: Expr) -> Expr:
             z[i] = rest / low[i][i]
         columns.append(ca.vertcat(*z))
     return ca.horzcat(*columns)
+
+
+@functools.cache
+def cholesky_solution(n: int) -> ca.Function:
+    """(m (n, n), b (n,)) -> x with m x = b for a positive definite m: written out once per size."""
+    m, b = ca.SX.sym("m", n, n), ca.SX.sym("b", n)
+    return ca.Function("cholesky_solution", [m, b], [cholesky_solve(cholesky(m), b)])

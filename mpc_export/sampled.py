@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.engine import chart_jacobians
+from greybox.estimation.reference_point import ReferenceStep, reference_step
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import innermost, with_core
@@ -119,6 +120,17 @@ class Sampled:
             if name not in known:
                 raise UnknownNameError("parameter", name, known)
 
+    @cached_property
+    def _maps(self) -> ReferenceStep:
+        """Step and outputs of the model, which are written once."""
+        return reference_step(self.dynamics, ())
+
+    @cached_property
+    def _chart(self) -> ca.Function:
+        """`chart_jacobians` of the model, written once."""
+        x, z = (ca.SX.sym(n, len(self.dynamics.states)) for n in "xz")
+        return ca.Function("chart", [x, z], chart_jacobians(self.dynamics, x, z))
+
     # ------------------------------------------------------------------------------------- layouts
 
     @cached_property
@@ -153,12 +165,10 @@ class Sampled:
         x, window, p, w = self._plain_symbols()
         theta = ca.SX.sym("theta", len(self.sensitive))
         full = self._vector(p, theta)
-        felt = ca.vertcat(
-            *(
-                getattr(self.dynamics, which)(0, x, window, full, w, self.dt)
-                for which in (("step", "output") if self.measured else ("step",))
-            )
-        )
+        given = (x, window, full, w, self.dt)
+        felt = self._maps.stepped(*given)
+        if self.measured:
+            felt = ca.vertcat(felt, self._maps.predicted(*given))
         everything = ca.vertcat(
             felt, ca.vec(ca.jacobian(felt, theta)), ca.vec(ca.jacobian(felt, p))
         )
@@ -270,9 +280,8 @@ class Sampled:
 
     def step(self, x: Expr, u: Expr, p: Expr, w: Expr, theta: Expr | None = None) -> Expr:
         """X one sample later."""
-        after = self.dynamics.step(
-            0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt
-        )
+        window, full = self.window(x, u, p), self._vector(p, theta)
+        after = self._maps.stepped(self.core(x), window, full, w, self.dt)
         now = self.current(u, p)
         n = len(self.dynamics.states)
         at = {pair: n + k for k, pair in enumerate(self.history)}
@@ -282,9 +291,8 @@ class Sampled:
 
     def output(self, x: Expr, u: Expr, p: Expr, w: Expr, theta: Expr | None = None) -> Expr:
         """Outputs y at the sample."""
-        return self.dynamics.output(
-            0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt
-        )
+        window, full = self.window(x, u, p), self._vector(p, theta)
+        return self._maps.predicted(self.core(x), window, full, w, self.dt)
 
     def derivative(self, x: Expr, u: Expr, p: Expr, w: Expr) -> Expr:
         """dx/dt of the model's own states, without the delay."""
@@ -309,7 +317,7 @@ class Sampled:
     def chart(self, x: Expr, z: Expr) -> tuple[Expr, Expr]:
         """(d boxplus(x, d)/dd at d = 0 (n_x, n_d), d boxminus(z', z)/dz' at z' = z (n_d, n_x))."""
         n, h = len(self.dynamics.states), ca.SX.eye(len(self.history))
-        into, out = chart_jacobians(self.dynamics, x[:n], z[:n])
+        into, out = self._chart(x[:n], z[:n])
         return ca.diagcat(into, h), ca.diagcat(out, h)
 
     def features(self, names: Sequence[str], x: Expr, u: Expr, p: Expr) -> Expr:

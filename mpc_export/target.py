@@ -13,6 +13,7 @@ least-squares sense. A history of commands is at rest: every earlier command is 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
@@ -150,6 +151,7 @@ def _missing(sampled: Sampled, targets: Layout, moving: Sequence[int], n_y: int)
     return ca.Function("held", [x, y, r], [ca.densify(v) for v in parts])
 
 
+@functools.cache
 def _least_squares(rows: int, columns: int) -> ca.Function:
     """(J, r) -> the least-squares solution of J d = r, rows balanced first, with a tiny ridge under
     it.

@@ -35,9 +35,19 @@ def vehicle(**sigma: float) -> Vehicle:
         )
 
 
+TOGETHER = 3
+"""Flights that are flown side by side, which takes as long as one of them."""
+
+
 @functools.cache
 def flights(count: int = 2, seconds: float = 8.0, first_seed: int = 40) -> Dataset:
     """`count` flights of the plant at 100 Hz, named run0, run1, ..."""
+    sets = _flown(max(count, TOGETHER), seconds, first_seed)[:count]
+    return sum(sets[1:], start=sets[0])
+
+
+@functools.cache
+def _flown(count: int, seconds: float, first_seed: int) -> tuple[Dataset, ...]:
     true_plant = plant()
     seeds = list(range(first_seed, first_seed + count))
     log = fly(
@@ -54,7 +64,4 @@ def flights(count: int = 2, seconds: float = 8.0, first_seed: int = 40) -> Datas
         one = {k: v for k, v in member(log, i).items() if not k.startswith("omega")}
         t = one.pop("t")
         sets.append(dataset_from_arrays(t, one, name=f"run{i}"))
-    whole = sets[0]
-    for s in sets[1:]:
-        whole = whole + s
-    return whole
+    return tuple(sets)

@@ -110,8 +110,11 @@ def _library(cc: Command, sources: Sequence[Source], link: Sequence[str]) -> str
     return key_of(_compiled_for(cc, every), *parts, " ".join(link))
 
 
-def build(sources: Sequence[Source], *, link: Sequence[str] = ()) -> Path:
-    """Shared library of C sources [(name, text, flags)] linked with the flags `link`.
+def build(
+    sources: Sequence[Source], *, link: Sequence[str] = (), shared: frozenset[str] = SHARED
+) -> Path:
+    """Shared library of C sources [(name, text, flags)] linked with the flags `link`; the objects
+    of those with names out of `shared`, which other libraries hold as well, are kept.
 
     Raises `BuildError` with the compiler's first complaint.
     """
@@ -125,7 +128,7 @@ def build(sources: Sequence[Source], *, link: Sequence[str] = ()) -> Path:
         return found
     try:
         with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:
-            objects = _objects(cc, sources, Path(folder))
+            objects = _objects(cc, sources, Path(folder), shared)
             library = Path(folder) / "out.so"
             _run([*cc, "-shared", "-o", str(library), *map(str, objects), *link, "-lm"], cc)
             return keep(key, library, ".so")
@@ -137,13 +140,15 @@ def build(sources: Sequence[Source], *, link: Sequence[str] = ()) -> Path:
         ) from None
 
 
-def _objects(cc: Command, sources: Sequence[Source], folder: Path) -> list[Path]:
-    """Object files of the sources, compiled side by side; those written by hand come from the
+def _objects(
+    cc: Command, sources: Sequence[Source], folder: Path, shared: frozenset[str]
+) -> list[Path]:
+    """Object files of the sources, compiled side by side; those of `shared` names come from the
     cache."""
     objects: list[Path] = []
     running: list[tuple[subprocess.Popen[str], int, str | None]] = []
     for name, text, flags in sources:
-        key = _object(cc, name, text, flags) if name in SHARED else None
+        key = _object(cc, name, text, flags) if name in shared else None
         if key is not None and (found := find(key, ".o")) is not None:
             objects.append(found)
             continue

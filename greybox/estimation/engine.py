@@ -30,7 +30,7 @@ from greybox.estimation.recursion import (
     Rollout,
     Sizes,
 )
-from greybox.estimation.reference_point import chart_jacobians, reference_step, symbols
+from greybox.estimation.reference_point import chart_jacobians, reference_step
 from greybox.estimation.tape_cache import linears
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray, evaluate
@@ -503,13 +503,11 @@ def unfelt_place(dynamics: Dynamics) -> frozenset[str]:
     was identified in one corner of a room holds in the other."""
     names = dynamics.states.names
     with CASADI:
-        s = symbols(dynamics)
-        quiet = ca.DM.zeros(len(dynamics.noises))
-        after = dynamics.step(0, s["x"], s["U"], s["p"], quiet, s["dt"])
+        at = reference_step(dynamics, ())
+        after = ca.substitute(at.after, at.w, ca.DM.zeros(at.w.numel()))
         rest = after[[i for i, n in enumerate(names) if not n.startswith("position.")]]
         return frozenset(
             n.removeprefix("position.")
             for i, n in enumerate(names)
-            if n in ("position.x", "position.y", "position.z")
-            and not ca.depends_on(rest, s["x"][i])
+            if n in ("position.x", "position.y", "position.z") and not ca.depends_on(rest, at.x[i])
         )

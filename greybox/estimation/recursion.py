@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.estimation.tape import Linear
-from greybox.symbolic import CHUNK, BoolArray, FloatArray, mapped
+from greybox.symbolic import CHUNK, BoolArray, FloatArray, OnArrays, mapped
 
 IntArray = npt.NDArray[np.int32]
 Rows = npt.NDArray[np.int_]
@@ -299,42 +299,40 @@ class Interpreted:
         x, s, u, mask, gains = one.x, one.s, one.u, one.mask, one.gains
         width = self.sizes.window
         na = len(self.columns)
+        step, inject = OnArrays(self.value), OnArrays(self.inject)
+        slopes = None if s is None else OnArrays(self.slope())
         for t in range(one.n):
-            at = (x, u[t : t + width].T, one.y[t], one.p, one.dt)
-            xf, e, yh = self.value(*at)
-            e = np.asarray(e.full()).ravel() * (mask[t] != 0)
-            for key, value in (
-                ("states", x),
-                ("innovations", e),
-                ("outputs", np.asarray(yh.full()).ravel()),
-            ):
+            at = (x, u[t : t + width].ravel(), one.y[t], one.p, one.dt)
+            xf, e, yh = (v.ravel() for v in step(*at))
+            e = e * (mask[t] != 0)
+            for key, value in (("states", x), ("innovations", e), ("outputs", yh)):
                 if (kept := one.out[key]) is not None:
                     kept[t] = value
-            if s is not None:
+            if s is not None and slopes is not None:
                 if (kept := one.out["state_sensitivity"]) is not None:
                     kept[t] = s
-                a, b, ex, ep = self.slope()(*at)
-                de = ex.full() @ s
-                de[:, :na] += ep.full()[:, self.columns]
+                a, b, ex, ep = slopes(*at)
+                de = ex @ s
+                de[:, :na] += ep[:, self.columns]
                 de *= (mask[t] != 0)[:, None]
                 if (kept := one.out["sensitivity"]) is not None:
                     kept[t] = de
-                moved = a.full() @ s
-                moved[:, :na] += b.full()[:, self.columns]
+                moved = a @ s
+                moved[:, :na] += b[:, self.columns]
             g = int(one.pattern[t])
             if gains.zero[g]:
-                x[:] = np.asarray(xf.full()).ravel()
+                x[:] = xf
                 if s is not None:
                     s[:] = moved
             else:
-                xn, j1, j2 = self.inject(xf, gains.gain[g] @ e)
-                x[:] = np.asarray(xn.full()).ravel()
+                xn, j1, j2 = inject(xf, gains.gain[g] @ e)
+                x[:] = xn.ravel()
                 if s is not None:
                     push = gains.gain[g] @ de
                     if gains.derivative is not None:
                         slope = gains.derivative[g]
                         push[:, gains.moved_columns()] += (slope @ e).T
-                    s[:] = j1.full() @ moved + j2.full() @ push
+                    s[:] = j1 @ moved + j2 @ push
             if not np.isfinite(x).all():
                 return 1 + t
         return 0

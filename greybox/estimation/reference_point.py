@@ -74,6 +74,18 @@ class ReferenceStep:
         made = [self.after, self._predicted, self.e, self.into, self.out]
         self.whole = ca.Function("step", given, made)
 
+    @functools.cached_property
+    def stepped(self) -> ca.Function:
+        """x, U, p, w, dt -> the state one step later."""
+        given = [self.x, self.window, self.p, self.w, self.dt]
+        return ca.Function("stepped", given, [self.after])
+
+    @functools.cached_property
+    def predicted(self) -> ca.Function:
+        """x, U, p, w, dt -> outputs at the sample."""
+        given = [self.x, self.window, self.p, self.w, self.dt]
+        return ca.Function("predicted", given, [self._predicted])
+
     def at_point(self, fixed: Fixed) -> ReferenceStep:
         """The same step where some state entries never change.
 

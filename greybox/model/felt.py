@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, lru_cache
+from typing import NamedTuple, TypeVar
 
 import casadi as ca
 
@@ -14,6 +14,8 @@ from greybox.model.flow import Flow
 from greybox.model.sensor_clocks import SensorClocks
 from greybox.model.state_blocks import BLOCKS
 from greybox.symbolic import Expr
+
+Found = TypeVar("Found")
 
 
 class Moment(NamedTuple):
@@ -55,40 +57,66 @@ class Felt:
     def blocks(self) -> tuple[str, ...]:
         """State blocks of the rigid body that some sensor feels, directly or through other
         states."""
-        x = self._symbols()
-        now = self._at_rest(x, ca.SX.sym("w", 6))
-        # Gravity enters the velocity equation in body axes through the attitude.
-        turn = now.flow.rotation
-        rates = dict(now.changes) | {
-            "position": x["velocity"],
-            "velocity": turn.T @ (turn @ now.force + ca.vertcat(0, 0, -1)) + now.flow.velocity * 0,
-            "attitude": quat_derivative(x["attitude"], x["rate"]),
-            "rate": now.alpha,
-        }
-        found: set[str] = set()
-        frontier = [now.readings]
-        while frontier:
-            expression = frontier.pop()
-            for b, symbol in x.items():
-                if b not in found and ca.which_depends(expression, symbol, 1, True).count(True):
-                    found.add(b)
-                    frontier.append(rates[b])
-        return tuple(b for b in BLOCKS if b in found)
+        return _known(_blocks, self)
 
     @cached_property
     def force(self) -> bool:
         """Whether a sensor feels forces at once, and not only through the velocity."""
-        push = ca.SX.sym("force", 3)
-        now = self._at_rest(self._symbols(), ca.vertcat(push, ca.DM.zeros(3)))
-        return any(ca.which_depends(now.readings, push, 1, False))
+        return _known(_force, self)
 
     @cached_property
     def place(self) -> bool:
         """Whether forces or moments depend on the position (as near the ground), where that is
         felt."""
-        if not self.clocks.body.staged.effects or "position" not in self.blocks:
-            return False
-        x = self._symbols()
-        now = self._at_rest(x, ca.DM.zeros(6))
-        felt = ca.vertcat(now.force, now.alpha, *now.changes.values())
-        return any(ca.which_depends(felt, x["position"], 1, False))
+        return _known(_place, self)
+
+
+def _known(ask: Callable[[Felt], Found], felt: Felt) -> Found:
+    """What is known of every model that is made again, as with other values or for a further
+    flight."""
+    try:
+        return _asked(ask, felt)  # type: ignore[return-value]
+    except TypeError:  # an effect of one's own that cannot be hashed
+        return ask(felt)
+
+
+@lru_cache(maxsize=512)
+def _asked(ask: Callable[[Felt], object], felt: Felt) -> object:
+    return ask(felt)
+
+
+def _blocks(felt: Felt) -> tuple[str, ...]:
+    x = felt._symbols()
+    now = felt._at_rest(x, ca.SX.sym("w", 6))
+    # Gravity enters the velocity equation in body axes through the attitude.
+    turn = now.flow.rotation
+    rates = dict(now.changes) | {
+        "position": x["velocity"],
+        "velocity": turn.T @ (turn @ now.force + ca.vertcat(0, 0, -1)) + now.flow.velocity * 0,
+        "attitude": quat_derivative(x["attitude"], x["rate"]),
+        "rate": now.alpha,
+    }
+    found: set[str] = set()
+    frontier = [now.readings]
+    while frontier:
+        expression = frontier.pop()
+        for b, symbol in x.items():
+            if b not in found and ca.which_depends(expression, symbol, 1, True).count(True):
+                found.add(b)
+                frontier.append(rates[b])
+    return tuple(b for b in BLOCKS if b in found)
+
+
+def _force(felt: Felt) -> bool:
+    push = ca.SX.sym("force", 3)
+    now = felt._at_rest(felt._symbols(), ca.vertcat(push, ca.DM.zeros(3)))
+    return any(ca.which_depends(now.readings, push, 1, False))
+
+
+def _place(felt: Felt) -> bool:
+    if not felt.clocks.body.staged.effects or "position" not in felt.blocks:
+        return False
+    x = felt._symbols()
+    now = felt._at_rest(x, ca.DM.zeros(6))
+    moved = ca.vertcat(now.force, now.alpha, *now.changes.values())
+    return any(ca.which_depends(moved, x["position"], 1, False))

@@ -52,7 +52,7 @@ from greybox.model.staged_effects import StagedEffects
 from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start_of, usual_of
 from greybox.model.vehicle import Vehicle
 from greybox.shown import Cell, Shown
-from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from greybox.symbolic import Expr, FloatArray, Layout, Signal, written_once
 from greybox.takes import EFFECTS, NAMES, POSITIVE, VEHICLE, takes
 
 
@@ -479,8 +479,10 @@ class PhysicsModel(Shown):
         path, end = rotor_path(start, *goals, switch, dt, partial(self._rotors.leg, values=values))
         slope = (end.speed - now.speed) / dt if self._has_lag else end.speed * 0
 
-        def rates(states: Mapping[str, Expr], speed: Expr) -> dict[str, Expr]:
+        def written(states: Mapping[str, Expr], speed: Expr) -> dict[str, Expr]:
             return self.body.rates(states, speed, slope, u, values, noise)
+
+        rates = written_once(written, blocks, path[0])
 
         def moved(k: Mapping[str, Expr], step: Expr) -> dict[str, Expr]:
             return {b: blocks[b] + step * k[b] for b in blocks}

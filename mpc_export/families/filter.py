@@ -13,7 +13,7 @@ import numpy as np
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import Expr
 from mpc_export.adaptation import authority, limited
-from mpc_export.dense import cholesky, cholesky_solve
+from mpc_export.dense import cholesky_solution
 from mpc_export.model_parts import ModelParts
 from mpc_export.noise import Noise
 from mpc_export.predictors import PredictorModel
@@ -90,5 +90,6 @@ def _filled_innovation(noise: Noise, name: str) -> ca.Function:
     gone = ca.if_else(there != 0, 0.0, 1.0)
     known = ca.vertcat(*(ca.if_else(there[i] != 0, e[i] / size[i], 0.0) for i in range(ne)))
     both = weight * (gone @ gone.T - ca.diag(gone)) + ca.SX.eye(ne)
-    filled = (known - gone * cholesky_solve(cholesky(both), gone * (weight @ known))) * size
+    expected = cholesky_solution(ne)(both, gone * (weight @ known))
+    filled = (known - gone * expected) * size
     return ca.Function(name, [e, there], [ca.cse(ca.densify(filled))])

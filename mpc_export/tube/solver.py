@@ -365,4 +365,5 @@ def _compiled(texts: dict[str, str], qp: QP = "hpipm") -> Path:
             ),
         ],
         link=link_flags() if own else ("-lm",),
+        shared=frozenset({"tube_model.c"}),  # of every horizon and of every solver of the QP
     )

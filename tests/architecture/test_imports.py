@@ -88,8 +88,8 @@ def imports(path: Path) -> tuple[Import, ...]:
                     yield from visit(ast.Module(body=[part], type_ignores=[]), inside, True)
                 for part in child.orelse:
                     yield from visit(ast.Module(body=[part], type_ignores=[]), inside, typing_only)
-            else:
-                function = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+            elif not isinstance(child, ast.expr):  # no import is part of an expression
+                function = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
                 yield from visit(child, inside or function, typing_only)
 
     return tuple(visit(ast.parse(path.read_text(encoding="utf-8")), False, False))

@@ -19,6 +19,8 @@ from tests.automatic.craft import RATES, flight, flown, vehicle
 
 COMMANDS = ("u1", "u2", "u3", "u4")
 TRUE = {"motor_lag.tau": 0.05}
+WITH = ("motor_lag", "command_delay", "gyro_bias")
+NAMES, LATER = ("command_delay.d",), {"command_delay.d": 0.02}
 
 
 def late(columns: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
@@ -38,12 +40,11 @@ def fitted(rows: int, effects: tuple[str, ...], **choices: object) -> Fit:
 @pytest.mark.parametrize(
     ("effects", "choices"),
     [
-        (("motor_lag", "command_delay", "gyro_bias"), {}),
-        (("motor_lag", "command_delay", "gyro_bias"), {"fixed": ("command_delay.d",)}),
-        (("motor_lag", "command_delay", "gyro_bias"), {"values": {"command_delay.d": 0.02}}),
-        (("motor_lag", "gyro_bias"), {}),
+        pytest.param(WITH, {}, id="where the search ended"),
+        pytest.param(WITH, {"fixed": NAMES}, id="held at nothing", marks=pytest.mark.slow),
+        pytest.param(WITH, {"values": LATER}, id="begun elsewhere", marks=pytest.mark.slow),
+        pytest.param(("motor_lag", "gyro_bias"), {}, id="not in the model"),
     ],
-    ids=["where the search ended", "held at nothing", "begun elsewhere", "not in the model"],
 )
 def test_commands_that_are_logged_late_are_said_first(effects, choices):
     found = fitted(2, effects, **choices)

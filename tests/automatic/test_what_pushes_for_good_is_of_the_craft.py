@@ -177,6 +177,7 @@ def weaker(both: bool) -> tuple[Fit, Dataset]:
     return plain_fit(plant, data), data
 
 
+@pytest.mark.slow
 def test_what_a_change_moves_is_held_by_the_errors_and_no_measurement() -> None:
     """The fit bends a rotor that gets weaker into what it has."""
     found, data = weaker(both=False)

@@ -21,7 +21,7 @@ from greybox.plants.vehicle_file import write_vehicle
 from tests.automatic.craft import RATES, flown, plant
 
 COLUMNS = ("t", "u1", "u2", "u3", "u4", *RATES)
-CHOSEN = ("persistence", "linear MIMO PEM", "LSTM", "nonlinear PEM")
+CHOSEN = ("persistence", "linear SISO PEM", "LSTM", "nonlinear PEM")
 TIMED = ("train_seconds", "microseconds_per_sample")
 
 

@@ -92,22 +92,23 @@ def killed(arguments: Sequence[str], sign: str, how: int) -> tuple[int, list[str
         return process.wait(60), said
 
 
-@pytest.fixture(scope="module")
-def chain(flights: Path) -> tuple[Path, str, list[StageRecord]]:
-    """(folder of a chain that was killed in the fit and went to its end, what it said then, what
-    was done before)."""
-    out = Path(tempfile.mkdtemp(dir=flights)) / "out"
-    code, _ = killed(line(flights, out), FIT, signal.SIGKILL)
-    assert code == -signal.SIGKILL
-    before = [StageRecord.from_dict(s) for s in read_json(out / FILE)["stages"]]
+def went_on(flights: Path, out: Path) -> str:
+    """What a chain in this folder says to its end, on both of its streams."""
     words = [sys.executable, "-m", "greybox.cli", *line(flights, out)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return out, done.stderr + "\n--out--\n" + done.stdout, before
+    return done.stderr + "\n--out--\n" + done.stdout
+
+
+@pytest.fixture(scope="module")
+def chain(flights: Path) -> tuple[Path, str]:
+    """(folder of a chain that went to its end, what it said)."""
+    out = Path(tempfile.mkdtemp(dir=flights)) / "out"
+    return out, went_on(flights, out)
 
 
 @pytest.fixture
-def copy(chain: tuple[Path, str, list[StageRecord]], tmp_path: Path) -> Path:
+def copy(chain: tuple[Path, str], tmp_path: Path) -> Path:
     return shutil.copytree(chain[0], tmp_path / "out")
 
 
@@ -122,8 +123,12 @@ def stages(out: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_kill_9_in_the_fit_keeps_what_was_done_and_the_same_command_goes_on(chain):
-    out, said, before = chain
+def test_kill_9_in_the_fit_keeps_what_was_done_and_the_same_command_goes_on(flights, tmp_path):
+    out = tmp_path / "out"
+    code, _ = killed(line(flights, out), FIT, signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    before = [StageRecord.from_dict(s) for s in read_json(out / FILE)["stages"]]
+    said = went_on(flights, out)
     assert [r.name for r in before] == ["inspect", "check"]
     assert said.count(DONE) == 2
     assert FIT in said
@@ -131,7 +136,7 @@ def test_kill_9_in_the_fit_keeps_what_was_done_and_the_same_command_goes_on(chai
 
 
 def test_the_first_line_is_the_verdict_and_the_folder_holds_model_export_and_page(chain):
-    out, said, _ = chain
+    out, said = chain
     first = said.split("--out--\n")[1].splitlines()[0]
     found = record(out)["outcome"]
     assert first == found["line"] == load_model(found["model"]).verdict.line
@@ -145,7 +150,7 @@ def test_the_first_line_is_the_verdict_and_the_folder_holds_model_export_and_pag
 
 
 def test_every_stage_is_the_plain_command_and_result_files_quote_it(chain):
-    out, _, _ = chain
+    out, _ = chain
     for stage in stages(out).values():
         assert all(c.startswith("greybox ") for c in stage["commands"])
     (typed,) = stages(out)["fit"]["commands"]
@@ -153,7 +158,7 @@ def test_every_stage_is_the_plain_command_and_result_files_quote_it(chain):
 
 
 def test_what_is_done_is_not_done_again(chain, flights, capsys):
-    out, _, _ = chain
+    out, _ = chain
     before = {
         p: p.stat().st_mtime_ns
         for p in out.rglob("*")

@@ -3,7 +3,11 @@ that a tape follows from."""
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,15 +23,32 @@ EVERY = tuple(p.name for p in model().parameters)
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
+@contextlib.contextmanager
+def cache_in(place: Path) -> Iterator[None]:
     """A cache of its own."""
-    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GREYBOX_CACHE", str(place))
+        for remembered in (cache.cache_root, cache.say):
+            remembered.cache_clear()
+        yield
     for remembered in (cache.cache_root, cache.say):
         remembered.cache_clear()
-    yield tmp_path / "cache" / "build"
-    for remembered in (cache.cache_root, cache.say):
-        remembered.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory) -> tuple[Path, Engine]:
+    """A cache that knows one structure, and its engine."""
+    place = tmp_path_factory.mktemp("known") / "cache"
+    with cache_in(place):
+        return place, Engine(model(), EVERY)
+
+
+@pytest.fixture
+def folder(first, tmp_path) -> Iterator[Path]:
+    """A copy of that cache, in use."""
+    shutil.copytree(first[0], tmp_path / "cache")
+    with cache_in(tmp_path / "cache"):
+        yield tmp_path / "cache" / "build"
 
 
 def derived(engine: Engine) -> bool:
@@ -39,12 +60,12 @@ def tape(engine: Engine) -> dict[str, np.ndarray]:
     return engine._recursion.slope.arrays()
 
 
-def test_a_known_structure_is_not_derived_again(folder):
-    first, second = Engine(model(), EVERY), Engine(model(), EVERY)
-    assert derived(first)
+def test_a_known_structure_is_not_derived_again(first, folder):
+    one, second = first[1], Engine(model(), EVERY)
+    assert derived(one)
     assert not derived(second)
-    assert tape(first).keys() == tape(second).keys()
-    for name, value in tape(first).items():
+    assert tape(one).keys() == tape(second).keys()
+    for name, value in tape(one).items():
         np.testing.assert_array_equal(tape(second)[name], value)
         assert tape(second)[name].dtype == value.dtype
 
@@ -60,16 +81,14 @@ def test_a_known_structure_is_not_derived_again(folder):
     ids=["fewer parameters", "another order", "without sensitivities", "other equations"],
 )
 def test_what_a_tape_follows_from_makes_it_another(folder, other):
-    Engine(model(), EVERY)
     assert derived(other())
 
 
-def test_a_damaged_tape_is_derived_again(folder, capfd):
-    first = Engine(model(), EVERY)
+def test_a_damaged_tape_is_derived_again(first, folder, capfd):
     (file,) = folder.glob("*.npz")
     file.write_bytes(file.read_bytes()[:-1])
     second = Engine(model(), EVERY)
     assert derived(second)
     assert "not as it was written" in capfd.readouterr().err
-    np.testing.assert_array_equal(tape(second)["instructions"], tape(first)["instructions"])
+    np.testing.assert_array_equal(tape(second)["instructions"], tape(first[1])["instructions"])
     assert not derived(Engine(model(), EVERY))

@@ -4,6 +4,7 @@ a ratio shows."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from greybox.errors import ModelError
 from greybox.estimation.considered import by_flights_alone
 from greybox.estimation.fit import fit
 from greybox.estimation.other_scales import on_other_scales
+from greybox.estimation.result import Fit
 from greybox.files import FileFormatError
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
@@ -48,6 +50,7 @@ def cart(sigma: float = SIGMA, drag: float | None = None) -> StateSpaceModel:
     )
 
 
+@cache
 def record(name: str = "run") -> Dataset:
     draw, t = np.random.default_rng(0), 0.02 * np.arange(800)
     u = np.repeat(draw.uniform(-1, 1, 40), 20)
@@ -60,13 +63,17 @@ def record(name: str = "run") -> Dataset:
 CHOICES = {"predictor": "simulation", "use_compiler": False}
 
 
+@cache
+def found_with(*held: str) -> Fit:
+    """The cart with a stated error of its mass: "fixed", "considered" or, without, free."""
+    return fit(cart(), record(), **{key: ["mass"] for key in held}, **CHOICES)
+
+
 @pytest.fixture(scope="module")
 def stds() -> dict[str, float]:
     """Standard error of the gain, with the mass held, considered, free within its prior."""
-    data = record()
-    held = fit(cart(), data, fixed=["mass"], **CHOICES)
-    considered = fit(cart(), data, fixed=["mass"], considered=["mass"], **CHOICES)
-    joint = fit(cart(), data, **CHOICES)
+    held, considered = found_with("fixed"), found_with("fixed", "considered")
+    joint = found_with()
     assert held["gain"].value == considered["gain"].value
     return {
         "held": held["gain"].std,
@@ -94,7 +101,7 @@ def test_what_cannot_be_considered_is_said_before_the_fit(sigma, choices, why):
 
 
 def test_a_parameter_whose_ratio_alone_shows_is_never_told():
-    found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES)
+    found = found_with("fixed", "considered")
     assert not found.estimates.told
     assert not any("mass is held" in w for w in found.warnings)
 
@@ -151,8 +158,8 @@ def test_one_anchor_of_a_common_factor_is_told_by_the_other_one():
 
 
 def test_the_model_keeps_how_well_the_ratio_is_known_and_its_file_too(tmp_path):
-    found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES)
-    joint = fit(cart(), record(), **CHOICES).model
+    found = found_with("fixed", "considered")
+    joint = found_with().model
     for model in (found.model, IdentifiedModel.load(found.model.save(tmp_path / "model.json"))):
         names, c = model.joint_covariance
         at = [names.index("gain"), names.index("mass")]
@@ -183,7 +190,7 @@ def test_a_gain_of_every_flight_moves_with_the_mass_that_all_share(tmp_path):
     ],
 )
 def test_a_file_whose_held_errors_mean_nothing_is_refused(tmp_path, held, why):
-    found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES).model
+    found = found_with("fixed", "considered").model
     path = replace(found, considered={"mass": held}).save(tmp_path / "model.json")
     with pytest.raises(FileFormatError, match=why):
         IdentifiedModel.load(path)

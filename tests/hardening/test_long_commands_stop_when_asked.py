@@ -171,7 +171,10 @@ def test_fit_keeps_the_best_values(fitted: Path) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [pytest.param(c, marks=pytest.mark.slow) if c in ("mpc", "compare") else c for c in COMMANDS],
+    [
+        c if c in ("discover", "linear") else pytest.param(c, marks=pytest.mark.slow)
+        for c in COMMANDS
+    ],
 )
 def test_nothing_half_written_is_left(command: str, tmp_path: Path) -> None:
     interrupted(*COMMANDS[command], tmp_path)

@@ -36,7 +36,7 @@ def slow_records(count: int = 1500) -> list[Record]:
 
 
 def test_the_likelihood_never_falls_and_the_true_order_converges() -> None:
-    records, _ = prepare(slow_records())
+    records, _ = prepare(slow_records(700))
     found = sweep(records, 6, Options(methods=("ssarx", "pbsid")))
     value = [f.solution.evaluation.criterion for f in found.values()]
     assert (np.diff(value) <= 0).all(), value

@@ -90,6 +90,7 @@ def accepted(names: set[str]) -> list[str]:
     return out
 
 
+@functools.cache
 def declared() -> set[str]:
     """What the headers that our C includes declare and define; empty without gcc."""
     if shutil.which("gcc") is None:
@@ -110,13 +111,14 @@ def together() -> dict[str, tuple[set[str], set[str]]]:
     found: dict[str, tuple[set[str], set[str]]] = {}
     there = texts(exported(PLAIN))
     for folder in {path.split("/")[0] for path in there if path.endswith(".c")}:
-        own, others = set[str](), declared()
+        own, others = set[str](), set(declared())
         for path, text in there.items():
             at, kind = path.split("/")[0], Path(path).suffix
             included = kind == ".h" and at == "c" and not folder.startswith("tube")
             if included or (at == folder and kind in (".c", ".h", ".cpp", ".hpp")):
-                own |= {w for w in code(text) if re.search(PLAIN, w, re.I)}
-                others |= {w for w in code(text) if not re.search(PLAIN, w, re.I)}
+                every = set(code(text))
+                named = {w for w in every if PLAIN in w.lower()}
+                own, others = own | named, others | (every - named)
         found[folder] = own - {PLAIN, PLAIN.upper()}, others
     return found
 

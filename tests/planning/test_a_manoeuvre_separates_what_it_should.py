@@ -19,14 +19,16 @@ SHORT = tuple(m for m in LIBRARY if m.name in ("hover", "forward_and_back"))
 
 
 @functools.cache
-def rivals() -> dict[str, Fit]:
-    """Linear and quadratic drag, fitted to flights of the linear one."""
+def fitted(name: str) -> Fit:
+    """An effect, fitted to flights of linear drag."""
     data = small_world.flown(RotorDrag(k_x=2e-5, k_y=2e-5))
-    found = {}
-    for name in ("rotor_drag", "parasitic_drag"):
-        model = build_model(small_world.vehicle(), data.channels, [name])
-        found[name] = fit(model, data, initialisation="noise")
-    return found
+    model = build_model(small_world.vehicle(), data.channels, [name])
+    return fit(model, data, initialisation="noise")
+
+
+def rivals() -> dict[str, Fit]:
+    """Linear and quadratic drag."""
+    return {name: fitted(name) for name in ("rotor_drag", "parasitic_drag")}
 
 
 @pytest.mark.slow
@@ -53,7 +55,7 @@ def test_speed_separates_drags_and_hover_does_not():
 @pytest.mark.slow
 def test_one_model_in_two_fits_is_not_separated_by_how_a_flight_starts():
     """The truth itself does not foretell the start of its own flight: that separates nothing."""
-    fit = rivals()["rotor_drag"]
+    fit = fitted("rotor_drag")
     fast = tuple(m for m in LIBRARY if m.name == "climb_at_speed")
     told = separations({"one": fit, "other": fit}, library=fast, seconds=3.0)
     assert told and all(s.expected == 0.0 for s in told)
@@ -62,11 +64,11 @@ def test_one_model_in_two_fits_is_not_separated_by_how_a_flight_starts():
 
 
 def test_no_flights_are_none():
-    assert flown_together(rivals()["rotor_drag"].model, []) == []
+    assert flown_together(fitted("rotor_drag").model, []) == []
 
 
 def test_a_flight_follows_its_path_and_its_commands_are_within_limits():
-    model = rivals()["rotor_drag"].model
+    model = fitted("rotor_drag").model
     log = flown(model, next(m for m in SHORT if m.name == "forward_and_back"), 1.5, seconds=4.0)
     assert log is not None
     channels = log.flights[0].segments[0].channels

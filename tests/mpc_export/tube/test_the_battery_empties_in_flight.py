@@ -110,12 +110,12 @@ def test_the_library_holds_its_place_while_the_battery_empties(tmp_path, real, l
 
 def test_so_does_the_controller_and_says_it_once():
     own = pilot(False)
-    sooner = functools.partial(empties, seconds=5.0)
-    away, _ = flown(own, own, 6.0, sooner)
+    sooner = functools.partial(empties, seconds=3.0)
+    away, _ = flown(own, own, 3.5, sooner)
     assert away[100:].max() < 0.02
     assert own.p[0] == EMPTY
     assert set(events(own)) == {"vbat is beyond what was seen in training"}
-    away, _ = flown(own, own, 9.0, sooner, untold)
+    away, _ = flown(own, own, 8.0, sooner, untold)
     assert away[200:].max() < 0.02
     assert own.p[0] == pytest.approx(EMPTY, abs=0.05)
     assert events(own).count("vbat is not known") == 1
