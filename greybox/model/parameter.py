@@ -23,8 +23,8 @@ class Parameter:
     `nominal` (0 = exact, inf = no prior). `scale` is the size of a typical change (for conditioning
     and for random starts), `possible` the largest distance from `null` that a craft can have: more
     is a fault of the data, not a property of the vehicle (and three sigma where nothing else is
-    believed). `origin` is the value at which the factor
-    that it stands for vanishes; None: what cannot be negative is a factor of its own.
+    believed). `origin` is the value at which the factor that it stands for vanishes; None: what
+    cannot be negative is a factor of its own.
     """
 
     name: str
