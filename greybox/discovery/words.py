@@ -58,6 +58,7 @@ def first_line(found: Discovery) -> str:
     if found.fit and not found.fit.converged:
         rough += "NOT CONVERGED, every number may move: "
     rough += f"AGAINST THE FILE: {'; '.join(found.denied)}. " * bool(found.denied)
+    rough += "DOUBTFUL, beside an impossible offset of a sensor: " * bool(found.faults)
     what = f"MISSING: {'; '.join(names)}" if names else "nothing is missing that has a name"
     what += f"; in the model, not certified: {kept}" * bool(kept)
     what += f"; in the model, a trace alone: {traces}" * bool(traces)

@@ -258,6 +258,7 @@ class _Run:
         scores = search.scores
         taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
         share = 0.5 if self.test is None else judging / max(taught, 1)
+        doubts = [impossible(at, self.flights, n) for n in sorted(causes.base)]
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
             self._so_far(found),
@@ -269,6 +270,7 @@ class _Run:
             gap_on="train" if self.test is None else "test",
             bar=self.needed,
             minimum_detectable={n: v for n, v in smallest.items() if v},
+            faults=tuple(doubt for doubt in doubts if doubt),
             warnings=tuple(self.warnings),
             tested_on=() if self.test is None else tuple(self.test.names),
             separating=self._separated(names, at),
@@ -372,8 +374,6 @@ class _Run:
             said = judged(certificate, good, odd[name], self.needed, alpha, self.bar)
             whole = self.settled(at)
             names.append(with_values_elsewhere(with_size(said, whole), whole, rivals[name]))
-        doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
-        self.warnings += [doubt for doubt in doubts if doubt]
         return self._without_traces(names, at)
 
     def _without_traces(self, names: list[Name], at: Fitted) -> Judged:

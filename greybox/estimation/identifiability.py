@@ -98,17 +98,18 @@ def unidentified(
                 names=chosen,
                 weights=shares,
                 eigenvalue=float(max(value, 0.0)),
-                text=_words(chosen, shares),
+                text=_words(chosen, shares, bool(told[[seen[j] for j in part]].all())),
             )
         )
     return tuple(out)
 
 
-def _words(names: Sequence[str], weights: Sequence[float]) -> str:
+def _words(names: Sequence[str], weights: Sequence[float], told: bool) -> str:
+    """What cannot be seen of `names`. Where they are not all `told` from nothing, no factor is."""
     listed = ", ".join(names[:-1]) + f" and {names[-1]}"
-    if all(abs(w - 1) < 0.05 for w in weights):
+    if told and all(abs(w - 1) < 0.05 for w in weights):
         return f"{listed} only as a ratio: a common factor on all of them changes no prediction"
-    if all(abs(abs(w) - 1) < 0.05 for w in weights):
+    if told and all(abs(abs(w) - 1) < 0.05 for w in weights):
         up = [n for n, w in zip(names, weights, strict=True) if w > 0]
         down = [n for n, w in zip(names, weights, strict=True) if w < 0]
         return (

@@ -511,5 +511,5 @@ def _within(level: str, name: str) -> bool:
 def _declared(
     d: Parameter, value: float, flight: str | None, given: tuple[float, float] | Prior | None
 ) -> Unknown:
-    prior = Prior(*given) if given is not None else Prior(d.nominal, d.sigma)
+    prior = Prior(*(d.believed if given is None else given))
     return unknown_of(d, min(max(value, d.lower), d.upper), prior, flight)

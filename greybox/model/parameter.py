@@ -22,8 +22,9 @@ class Parameter:
     (None where there is no such value), `sigma` the standard deviation of the prior around
     `nominal` (0 = exact, inf = no prior). `scale` is the size of a typical change (for conditioning
     and for random starts), `possible` the largest distance from `null` that a craft can have: more
-    is a fault of the data, not a property of the vehicle. `origin` is the value at which the factor
-    that it stands for vanishes; None: what cannot be negative is a factor of its own.
+    is a fault of the data, not a property of the vehicle (and three sigma where nothing else is
+    believed). `origin` is the value at which the factor that it stands for vanishes; None: what
+    cannot be negative is a factor of its own.
     """
 
     name: str
@@ -53,6 +54,15 @@ class Parameter:
             raise ModelError(
                 f"parameter {self.name}: sigma must not be negative", got=f"{self.sigma:g}"
             )
+
+    @property
+    def believed(self) -> tuple[float, float]:
+        """(mean, standard deviation) of the prior. Without a sigma it is what craft can have at
+        most, as three sigma: an offset that is believed to be anything takes what is known of the
+        thrust."""
+        if self.null is None or not math.isinf(self.sigma) or math.isinf(self.possible):
+            return self.nominal, self.sigma
+        return self.null, self.possible / 3.0
 
 
 class ParameterValues(Mapping[str, float]):

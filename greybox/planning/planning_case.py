@@ -311,9 +311,9 @@ def _noise(
 def precision_of(
     declared: Mapping[str, Parameter], names: tuple[str, ...], model: IdentifiedModel | None
 ) -> FloatArray:
-    """What is known before: the priors of the vehicle file, or the covariance of the fitted
-    model."""
-    sigma = np.array([declared[n].sigma for n in names])
+    """What is known before: the priors of the vehicle file and of effects, or the covariance of the
+    fitted model."""
+    sigma = np.array([declared[n].believed[1] for n in names])
     out = np.diag([s**-2 if 0 < s < np.inf else 0.0 for s in sigma])
     if model is not None and model.covariance_names:
         at = [i for i, n in enumerate(model.covariance_names) if n in names]

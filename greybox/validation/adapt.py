@@ -27,6 +27,7 @@ from greybox.estimation.settling import RecordGains, held
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.unknown import Unknown
 from greybox.model.identified import IdentifiedModel
+from greybox.statistics.evidence import FELT
 from greybox.symbolic import FloatArray
 from greybox.validation.horizon import REQUIRED
 
@@ -64,6 +65,23 @@ class Adaptation:
     x0: FloatArray | None = None
     x0_sigma: FloatArray | None = None
     warnings: tuple[str, ...] = ()
+
+    def beyond(self, model: IdentifiedModel) -> str:
+        """What lies beyond all that the training flights of `model` differ by, the farthest value
+        in words; "" where nothing does. Offsets of sensors spoil no model by much."""
+        far = {
+            n: abs(value - mean) / float(np.hypot(spread, np.nan_to_num(self.std[n])))
+            for n, value in self.values.items()
+            for mean, spread in [model.flight_spread[n]]
+            if spread > 0 and "_bias." not in n
+        }
+        worst = max(far, key=lambda n: far[n], default=None)
+        if worst is None or far[worst] <= FELT:
+            return ""
+        mean, spread = model.flight_spread[worst]
+        unit = "" if self.units[worst] == "-" else f" {self.units[worst]}"
+        value = f"{self.values[worst]:.2g}{unit}"
+        return f"{self.flight}: {worst} {value}, in training {mean:.2g} +- {spread:.2g}{unit}"
 
     def to_dict(self) -> dict[str, AdaptedRow]:
         """Name -> value, std, unit."""

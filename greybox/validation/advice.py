@@ -138,14 +138,14 @@ ADVICE: tuple[Advice, ...] = (
         action="--kinematic-noise",
     ),
     Advice(
-        symptom=Symptom.SATURATED,
-        reason="commands are at their limits for much of the flight",
-        action="fly with more headroom, or add --effects command_saturation",
-    ),
-    Advice(
         symptom=Symptom.FLIGHT_DIFFERS,
         reason="this flight differs from those of the fit (battery, trim, range)",
         action="--per-flight thrust.c2, or fly in training what is flown here",
+    ),
+    Advice(
+        symptom=Symptom.SATURATED,
+        reason="commands are at their limits",
+        action="fly with more headroom, or add --effects command_saturation",
     ),
     Advice(
         symptom=Symptom.TURNING,
@@ -202,8 +202,7 @@ ADVICE: tuple[Advice, ...] = (
     ),
 )
 """Causes before consequences: a log that lies spoils everything, a missing lag sends parameters to
-their bounds, bounds keep a solver from converging; what was seen comes before what may be, as that
-values of a flight's own were not adapted; what only one group shows comes last."""
+their bounds, bounds keep a solver from converging; what only one group shows comes last."""
 
 _OF_GROUP = {
     "position": Symptom.POSITION,

@@ -114,10 +114,11 @@ class Against:
 
     @property
     def says(self) -> str:
-        """ "worse" (clearly, somewhere), else "better" (clearly, somewhere), else "not clear"."""
+        """ "worse" (clearly, somewhere), else "better" (clearly, somewhere, on flights that it did
+        not see), else "not clear"."""
         if self.worse:
             return "worse"
-        return "better" if self.better else "not clear"
+        return "better" if self.better and self.judged_on == TEST_FLIGHTS else "not clear"
 
     @property
     def unclear(self) -> tuple[Change, ...]:
@@ -131,7 +132,9 @@ class Against:
     def line(self, other: str) -> str:
         """One line for people: how the model compares with `other`, at `ahead` in all groups; where
         it is clearly better or worse most, and what may be chance."""
-        says = {"not clear": "not clearly better or worse"}.get(self.says, self.says)
+        learned = "not known to be better, on flights that it has not learned from,"
+        level = learned if self.better else "not clearly better or worse"
+        says = level if self.says == "not clear" else self.says
         all_groups = ", ".join(c.numbers for c in self.changes if c.seconds == self.ahead)
         most = _with_seconds(c for c in self.better if c.seconds != self.ahead)
         worst, unclear = _with_seconds(self.worse), _with_seconds(self.unclear)

@@ -547,10 +547,12 @@ class _Work:
         # Offsets of sensors differ from flight to flight too, but spoil no model by much.
         own_values = [n for n in self.model.flight_spread if "_bias." not in n]
         long = max((f.duration for f in self.dataset), default=0.0) > SECONDS
-        if not self.adapted_seconds and own_values and long and self.judged_on == TEST_FLIGHTS:
-            hints.append(
-                Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted")
-            )
+        unknown = not self.adapted_seconds and own_values and long
+        differs = [d for a in self.adaptation.values() if (d := a.beyond(self.model))]
+        # What was seen comes before what may be.
+        if unknown and self.judged_on == TEST_FLIGHTS and not hints:
+            differs.append("its own values were not adapted")
+        hints += [Hint(symptom=Symptom.FLIGHT_DIFFERS, detail=d) for d in differs[:1]]
         if turned := turning_states(self.model, self.dataset.segments):
             hints.append(
                 Hint(

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import greybox.model.effects.gyro_bias
 from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import Certificate, Whole
@@ -159,6 +160,36 @@ def test_flights_that_judge_and_deny_what_all_together_ask_for_are_not_like_the_
         verdict="nothing_missing", names=(name,), bar=BAR, omega_known=True, seconds=0.0
     )
     assert ("they are not like the others" in found.line) is said
+
+
+def test_names_beside_an_impossible_offset_of_a_sensor_are_doubted_first(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """A gyro was off by 1.4 rad/s to make a trim with the rotors' spin, of five certified names."""
+    small_world.shorten(monkeypatch)
+    monkeypatch.setattr(greybox.model.effects.gyro_bias, "POSSIBLE", 0.05)
+    off = {"p": 0.1}
+    train, test = small_world.flown(), small_world.flown(seeds=(11,), name="test")
+    for wrong in (False, True):
+        data = [shifted(d, off) if wrong else d for d in (train, test)]
+        found = discover(small_world.vehicle(), *data)
+        assert found.line.startswith("DOUBTFUL, beside an impossible offset") is wrong
+        assert [f.split(" = ")[0] for f in found.faults] == ["gyro_bias.b_x"] * wrong
+        assert ("  fault: gyro_bias.b_x" in found.summary()) is wrong
+
+
+def shifted(data: Dataset, by: dict[str, float]) -> Dataset:
+    """The flights with an offset on some channels."""
+    flights = tuple(
+        replace(
+            f,
+            segments=tuple(
+                s.replace({n: s.channels[n] + o for n, o in by.items()}) for s in f.segments
+            ),
+        )
+        for f in data.flights
+    )
+    return Dataset(flights=flights)
 
 
 def test_next_to_a_law_only_an_e_value_holds():

@@ -35,3 +35,14 @@ def test_an_estimate_next_to_zero_takes_no_part_in_what_others_share() -> None:
     found = unidentified(1e8 * slope.T @ slope, NAMES, (0.03, 0.6, 1e-9), SCALES)
     assert [set(c.names) for c in found] == [{"mass", "thrust.c2"}]
     assert "only as a ratio" in found[0].text
+
+
+def test_what_is_not_told_from_nothing_shares_no_factor() -> None:
+    """Offsets of a sensor in two flights whose sum is not seen: no factor moves either."""
+    names = ("accelerometer_bias.b_z (a)", "accelerometer_bias.b_z (b)")
+    slope = np.array([[1.0, -1.0]])
+    for values in ((0.005, 0.006), (0.005, -0.006)):
+        (found,) = unidentified(slope.T @ slope, names, values, (0.1, 0.1))
+        assert "not separately: the change" in found.text and "factor" not in found.text
+    (found,) = unidentified(1e6 * slope.T @ slope, names, (0.05, 0.05), (0.1, 0.1))
+    assert "only as a ratio" in found.text

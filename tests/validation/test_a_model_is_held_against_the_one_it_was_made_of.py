@@ -128,6 +128,23 @@ def test_the_line_names_every_group_half_a_second_ahead_and_what_judged() -> Non
     )
 
 
+def test_flights_that_were_learned_from_do_not_show_that_it_is_better_on_others() -> None:
+    """A push learned from one real flight was "better" there, and worse on three of four others."""
+    after = seen([0.8 * e for e in LEVEL], LEVEL)
+    assert after.verdict is not None
+    assert against(BEFORE, after).says == "better"
+    after = replace(after, verdict=replace(after.verdict, judged_on=FITTED_FLIGHTS))
+    found = against(BEFORE, after)
+    assert found.says == "not clear"
+    assert found.line("the physics alone").startswith(
+        "not known to be better, on flights that it has not learned from, than the physics alone: "
+        "0.5 s ahead position 0.5 -> 0.4 m"
+    )
+    grown = seen([1.2 * e for e in LEVEL], LEVEL)
+    grown = replace(grown, verdict=replace(after.verdict, judged_on=FITTED_FLIGHTS))
+    assert against(BEFORE, grown).says == "worse"
+
+
 def test_what_is_better_elsewhere_than_half_a_second_ahead_is_said_with_where() -> None:
     after = seen([0.8 * e + 0.01 * k for k, e in enumerate(LEVEL)], LEVEL)
     line = against(BEFORE, after).line("the physics alone")

@@ -8,7 +8,6 @@ from greybox.data.checks import CheckReport, Finding
 from greybox.model.model import build_model
 from greybox.validation.advice import (
     ADVICE,
-    Hint,
     Symptom,
     hints_of_checks,
     impossible,
@@ -82,10 +81,9 @@ def report(*findings: Finding) -> CheckReport:
     return CheckReport(vehicle="v", flights=(), findings=findings, not_judged=())
 
 
-def test_commands_that_were_seen_at_their_limit_come_before_a_flight_that_may_differ() -> None:
+def test_of_commands_at_their_limits_the_worst_is_named() -> None:
     seen = report(limited("u_min", 0.02), limited("u_max", 0.2, "b"))
-    hints = [Hint(symptom=Symptom.FLIGHT_DIFFERS), *hints_of_checks(seen, effects=())]
-    reason, _, anchor = likely(hints, Symptom.RATE)
+    reason, _, anchor = likely(hints_of_checks(seen, effects=()), Symptom.RATE)
     assert anchor == Symptom.SATURATED.anchor and "b: a command is at u_max for 20.0 %" in reason
 
 
