@@ -14,6 +14,7 @@ from greybox.discovery.rules import RULES
 from greybox.errors import ModelError
 from greybox.estimation.result import Fit
 from greybox.model.dynamics import StateSpaceModel
+from greybox.model.known import NOTHING, Known
 from greybox.model.layer import physics_of
 from greybox.model.noise import Augmented, Disturbance
 from greybox.model.own_effect import (
@@ -84,7 +85,7 @@ def offer_own(
     *,
     fixed: Iterable[str] = (),
     per_flight: Iterable[str] = (),
-    known: dict[str, tuple[float, float]] | None = None,
+    known: Known = NOTHING,
 ) -> OwnCauses:
     """The effects of a model of the user's own; none of one whose numbers are `known`.
 
@@ -96,10 +97,10 @@ def offer_own(
             where=model.name,
             fix="noise_states: the states whose equations are in doubt",
         )
-    declared = {} if known is not None else declared_effects(model)
+    declared = declared_effects(model) if known is NOTHING else {}
     offered = {n: _cause(n, ps) for n, ps in declared.items()}
     every = {p for c in offered.values() for p in c.parameters}
-    held = set(fixed)
+    held = {*fixed, *known.held}
     core = (d.name for d in model.parameters if d.sigma > 0 and d.name not in every)
     return OwnCauses(
         model=model,
@@ -107,14 +108,13 @@ def offer_own(
         core=tuple(n for n in core if n not in held),
         unjudged={},
         per_flight=tuple(per_flight),
-        known=known or {},
+        known=known.prior,
+        untold=known.untold,
     )
 
 
 def memory_of(found: Fit | None) -> str:
     """What one-step errors of a user's own model say where they are not white; else ""."""
     white = found is None or physics_of(found.model.dynamics) or not found.covariance.coloured
-    said = (
-        "one-step errors are NOT WHITE: something with states of its own (a lag, play) is missing"
-    )
-    return "" if white else said
+    said = "errors one step ahead are NOT WHITE: a part with states of its own is missing"
+    return "" if white else f"{said} (a lag, play)"

@@ -52,7 +52,7 @@ from greybox.journal import spared
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.faults import faults_of
 from greybox.model.identified import IdentifiedModel
-from greybox.model.known import NOTHING, known_numbers, since
+from greybox.model.known import NOTHING, since
 from greybox.model.layer import physics_of
 from greybox.model.noise_free import as_measured
 from greybox.model.vehicle import Vehicle
@@ -160,8 +160,8 @@ def _offered(
 ) -> Causes:
     """The causes on offer."""
     causes: Causes
+    known = NOTHING if options.since is None else since(options.since)
     if isinstance(subject, Vehicle):
-        known = NOTHING if options.since is None else since(options.since)
         causes = offer(
             subject,
             train.channels,
@@ -184,7 +184,7 @@ def _offered(
             subject,
             fixed=options.fixed,
             per_flight=options.per_flight,
-            known=None if options.since is None else known_numbers(options.since),
+            known=known,
         )
     declared = [d.name for d in causes.model.parameters]
     if wrong := {*options.per_flight, *options.fixed} - set(declared):

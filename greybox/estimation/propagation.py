@@ -28,6 +28,7 @@ from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.smoothing import transitions
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import as_flights_are
 from greybox.model.layer import learned_push_of
 from greybox.symbolic import FloatArray, evaluate
 
@@ -145,13 +146,16 @@ def run_together(
 def _parameter_covariance(
     model: IdentifiedModel, extra: Mapping[str, float]
 ) -> tuple[tuple[str, ...], FloatArray]:
+    """Names and covariance (k, k) of the parameters. Those that only show together have to move
+    together: mass and thrust, or a thrust and the level of a flight, whose errors `extra` has."""
     declared = {d.name for d in model.dynamics.parameters}
-    shared = [n for n in model.covariance_names if n in declared and n not in extra]
-    at = [model.covariance_names.index(n) for n in shared]
+    known, joint = as_flights_are(model)
+    at = [i for i, n in enumerate(known) if n in declared and n not in extra]
+    shared = [known[i] for i in at]
     own = [n for n, s in extra.items() if n in declared and np.isfinite(s) and s > 0]
     names = (*shared, *own)
     cov = np.zeros((len(names), len(names)))
-    cov[: len(shared), : len(shared)] = np.nan_to_num(model.covariance[np.ix_(at, at)])
+    cov[: len(shared), : len(shared)] = np.nan_to_num(joint[np.ix_(at, at)])
     cov[range(len(shared), len(names)), range(len(shared), len(names))] = [
         extra[n] ** 2 for n in own
     ]

@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 from greybox.model.absence import TYPICAL
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
 
 LEAST = 1e-6
@@ -38,16 +39,18 @@ NOTHING = Known()
 
 
 def since(model: IdentifiedModel) -> Known:
-    """An identified model of a vehicle as what is known before new flights."""
+    """An identified model as what is known before new flights."""
+    physics = physics_of(model.dynamics)
     errors = {**model.standard_errors, **{n: s for n, (s, _) in model.considered.items()}}
-    names = [n for n in (SCALE, *model.considered) if errors.get(n, 0.0) > 0.0]
+    scale = () if physics is None else (SCALE,)
+    names = [n for n in (*scale, *model.considered) if errors.get(n, 0.0) > 0.0]
     held = {n: float(model.values[n]) for n in names}
     return Known(
-        effects=tuple(model.physics.effects),
+        effects=() if physics is None else tuple(physics.effects),
         prior=known_numbers(model, held),
         held=held,
         untold=untold(model, held),
-        input=model.physics.input,
+        input=None if physics is None else physics.input,
     )
 
 
@@ -97,6 +100,15 @@ def untold(model: IdentifiedModel, held: Collection[str]) -> tuple[Mapping[str, 
     return tuple(
         {n: float(m) for n, m in zip(joint.names, column, strict=True) if m} for column in moves.T
     )
+
+
+def as_flights_are(model: IdentifiedModel) -> tuple[tuple[str, ...], FloatArray]:
+    """Names and covariance (k, k) of shared parameters and of those that were held and are not
+    exact, as the means of what flights have of their own are given."""
+    means = {n: m for n, (m, _) in model.flight_spread.items()}
+    names, _, covariance = _Joint.of(model).were(means)
+    at = [i for i, n in enumerate(names) if n not in means]
+    return tuple(names[i] for i in at), covariance[np.ix_(at, at)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,8 +15,10 @@ from greybox.estimation.prior import Prior
 from greybox.model.effects import effect_by_name
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import since
+from greybox.model.model import build_model
 from tests.discovery.small_world import flown, vehicle
 
+EFFECTS = tuple(effect_by_name(n) for n in ("rotational_damping", "payload_mass"))
 KNOWN = {"rotational_damping.d_p": (4e-3, 1e-4), "thrust.c2": (1.1e-5, 1e-7)}
 
 
@@ -30,13 +32,9 @@ def identified() -> IdentifiedModel:
         considered={},
         form_errors={},
         per_flight={},
-        flight_spread={"payload_mass.mu": (0.1, 0.02)},
+        flight_spread={"payload_mass.mu": (0.1, 0.5)},
         flight_covariance=np.zeros((0, 0)),
-        dynamics=SimpleNamespace(parameters=[SimpleNamespace(name="payload_mass.mu", scale=0.005)]),
-        physics=SimpleNamespace(
-            input="command",
-            effects=(effect_by_name("rotational_damping"), effect_by_name("payload_mass")),
-        ),
+        dynamics=build_model(vehicle(), flown().channels, EFFECTS, input="command"),
     )
     return cast(IdentifiedModel, model)
 
@@ -61,7 +59,7 @@ def test_its_numbers_with_their_errors_are_the_prior():
 
 
 def test_what_differs_from_flight_to_flight_is_known_with_that_spread():
-    assert causes().known["payload_mass.mu"] == (0.1, 0.02)
+    assert causes().known["payload_mass.mu"] == (0.1, 0.5)
 
 
 def test_the_mass_and_what_the_model_held_are_held():

@@ -1,6 +1,8 @@
 """The covariance that travels with an open-loop prediction is that of an ensemble of simulated
 futures."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -93,3 +95,54 @@ def test_extra_deviations_replace_those_of_the_fit():
     without = propagated(model, parameters=False)[2][-1].covariance[0, 0, 0]
     assert sharper == pytest.approx(without, rel=1e-6)
     assert with_fit > 1.2 * without
+
+
+def scaled() -> StateSpaceModel:
+    """The pendulum, of whose stiffness flights show only k (1 + s) / mass."""
+    numbers = (("k", "N m", 4.0), ("mass", "kg", 1.0), ("s", "-", 0.0))
+    return StateSpaceModel(
+        name="pendulum",
+        states=Layout([Signal(name="angle", unit="rad"), Signal(name="rate", unit="rad/s")]),
+        inputs=Layout([Signal(name="u", unit="N m")]),
+        outputs=Layout([Signal(name="y", unit="rad")]),
+        parameters=tuple(Parameter(name=n, unit=u, nominal=v, scale=1.0) for n, u, v in numbers),
+        dynamics=lambda t, x, u, p: [
+            x[1],
+            u - p["k"] * (1.0 + p["s"]) / p["mass"] * ca.sin(x[0]) - 0.4 * x[1],
+        ],
+        measurement=lambda t, x, u, p: [x[0]],
+        noise_states=("rate",),
+    )
+
+
+@pytest.mark.parametrize(
+    ("known", "extra"),
+    [
+        ({"considered": {"mass": (0.15, {"k": 4.0})}}, {}),
+        (
+            {
+                "flight_spread": {"s": (0.0, 1e-6)},
+                "flight_covariance": np.array([[-4.0 * 0.15**2], [0.15**2]]),
+            },
+            {"s": 1e-6},
+        ),
+    ],
+)
+def test_numbers_that_only_show_together_spread_no_prediction(known, extra):
+    """The stiffness is known to 15 %, what it does to a thousandth: a mass that was held moves with
+    it, or a flight's own level against it."""
+    model = replace(
+        pendulum(),
+        dynamics=with_disturbance(scaled(), ("rate",), time=0.4),
+        covariance=np.array([[0.6**2 + 0.004**2]]),
+        **known,
+    )
+    model = replace(
+        model, values=ParameterValues({d.name: d.nominal for d in model.dynamics.parameters})
+    )
+    without = propagated(model, parameters=False)[2][-1].covariance[0, 0, 0]
+    alone = replace(model, considered={}, flight_covariance=np.zeros((0, 0)))
+    assert propagated(alone, extra=extra)[2][-1].covariance[0, 0, 0] > 1.2 * without
+    assert propagated(model, extra=extra)[2][-1].covariance[0, 0, 0] == pytest.approx(
+        without, rel=1e-3
+    )
