@@ -277,7 +277,8 @@ def _spread(
     if considered.spread is not None:
         free_rows = np.where(held, 0.0, 1.0)
         more = more + considered.spread * np.outer(free_rows, free_rows)
-    return replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more), held
+    fisher, sandwich = spread.fisher + more, spread.sandwich + more
+    return replace(spread, fisher=fisher, sandwich=sandwich, more=more), held
 
 
 UNFINISHED = "the solver stopped at its own tolerance, but a full step would still lower the cost"

@@ -31,8 +31,8 @@ class Covariance:
     how the craft is flown, `beyond`: which bounds of the model flights push against
     (`greybox.automatic.wanted`), `changed`: where the craft changed within a flight
     (`greybox.automatic.lasting`), `splits`: which noise levels are one number to the flights
-    (`greybox.estimation.noise_split`); all empty where
-    nothing says so."""
+    (`greybox.estimation.noise_split`), `more` (n, n): what both matrices have in them from what was
+    held and what differs between flights; all empty where nothing says so."""
 
     fisher: FloatArray
     sandwich: FloatArray
@@ -42,6 +42,7 @@ class Covariance:
     beyond: str = ""
     changed: tuple[str, ...] = ()
     splits: tuple[str, ...] = ()
+    more: FloatArray | None = None
     coloured: bool = False
 
     @property
@@ -63,13 +64,15 @@ class Covariance:
         below Fisher; else Fisher."""
         if not (coloured and self.enough):
             return self.fisher
+        more = np.zeros_like(self.fisher) if self.more is None else self.more
+        sandwich = self.sandwich - more
         # An unknown that few blocks see (one flight's own) has scores that cancel among them: its
         # sandwich variance is too small, so that no error is reported below Fisher's.
-        low, high = np.diag(self.sandwich), np.diag(self.fisher)
+        low, high = np.diag(sandwich), np.diag(self.fisher - more)
         usable = (low > 0) & np.isfinite(low) & np.isfinite(high)
         factor = np.ones(low.size)
         factor[usable] = np.sqrt(np.maximum(high[usable] / low[usable], 1.0))
-        return self.sandwich * np.outer(factor, factor)
+        return sandwich * np.outer(factor, factor) + more
 
 
 def covariance(

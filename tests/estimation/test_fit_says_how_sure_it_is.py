@@ -11,6 +11,7 @@ import pytest
 
 from greybox import build_model, fit
 from greybox.errors import FileFormatError, UnknownNameError
+from greybox.estimation.covariance import Covariance
 from greybox.estimation.fit import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code
@@ -149,3 +150,18 @@ def test_an_edited_model_file_is_refused(fitted: Fit, tmp_path: Path) -> None:
     path.write_text(json.dumps(content))
     with pytest.raises(FileFormatError, match="checksum"):
         IdentifiedModel.load(path)
+
+
+def test_what_held_numbers_add_is_in_the_errors_once_whatever_the_blocks_say():
+    """Less it, the errors are a covariance still: a held mass explains no more than it is off."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(3, 3))
+    fisher, moves = root @ root.T, 5.0 * rng.normal(size=(3, 1))
+    size = np.array([0.1, 2.0, 1.0])
+    sandwich, more = fisher * np.outer(size, size), moves @ moves.T
+    whole = Covariance(fisher=fisher + more, sandwich=sandwich + more, blocks=1000, more=more)
+    found = whole.chosen(True)
+    assert np.linalg.eigvalsh(found - more).min() > -1e-9
+    larger = np.maximum(np.diag(fisher), np.diag(sandwich))
+    assert np.diag(found) == pytest.approx(larger + np.diag(more))
+    assert whole.chosen(False) is whole.fisher
