@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-Call = Callable[..., Any]
+Number = FloatArray | float
+Call = Callable[..., Number]
 FEWEST = 500
 """Samples from which on this is the faster way."""
 PIECE = 2048
@@ -73,18 +73,16 @@ def instructions(function: ca.Function) -> list[tuple[int, list[int], list[int],
     ]
 
 
-def carried_out(
-    function: ca.Function, columns: Sequence[FloatArray], out: FloatArray
-) -> FloatArray | None:
-    """The single dense output of a function of dense columns (n, n_i), written to `out` (n, n_o);
-    None where an instruction is not known here."""
+def carried_out(function: ca.Function, columns: Sequence[FloatArray], out: FloatArray) -> bool:
+    """Whether all instructions are known here: then the single dense output of the function of dense
+    columns (n, n_i) is written to `out` (n, n_o)."""
     steps = instructions(function)
     if steps is None:
-        return None
+        return False
     with np.errstate(all="ignore"):
         for at in range(0, len(out), PIECE):
             _carry_out(steps, [c[at : at + PIECE] for c in columns], out[at : at + PIECE])
-    return out
+    return True
 
 
 def _carry_out(
@@ -92,7 +90,7 @@ def _carry_out(
     columns: Sequence[FloatArray],
     out: FloatArray,
 ) -> None:
-    numbers: dict[int, Any] = {}
+    numbers: dict[int, Number] = {}
     for kind, to, of, constant in steps:
         if kind == ca.OP_INPUT:
             numbers[to[0]] = np.ascontiguousarray(columns[of[0]][:, of[1]])

@@ -182,7 +182,7 @@ def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
     if not dense or any(a.shape[1] != function.numel_in(i) for i, a in enumerate(wide)):
         return np.asarray(function.map(n)(*(a.T for a in wide)).full(), dtype=np.float64).T
     out = np.zeros((n, function.numel_out(0)))
-    if n >= FEWEST and carried_out(function, wide, out) is not None:
+    if n >= FEWEST and carried_out(function, wide, out):
         return out
     for at in range(0, n, CHUNK):
         size = min(CHUNK, n - at)
