@@ -122,19 +122,18 @@ class _Joint:
 
     @classmethod
     def of(cls, model: IdentifiedModel) -> Self:
-        n, held = len(model.covariance_names), len(model.considered)
+        known, joint = model.joint_covariance
         own = list(model.flight_spread) if model.flight_covariance.size else []
-        names = [*model.covariance_names, *model.considered, *own]
+        names, first = [*known, *own], len(known)
         covariance = np.zeros((len(names), len(names)))
-        at = [*range(n), *range(n + held, len(names))]
+        covariance[:first, :first] = joint
         if own:
-            covariance[np.ix_(at, at[n:])] = model.flight_covariance
-            covariance[np.ix_(at[n:], at)] = model.flight_covariance.T
-        covariance[:n, :n] = model.covariance
-        for j, (sigma, moves) in enumerate(model.considered.values(), n):
-            covariance[at, j] = [sigma**2 * moves.get(names[i], 0.0) for i in at]
-            covariance[j] = covariance[:, j]
-            covariance[j, j] = sigma**2
+            n = len(model.covariance_names)
+            moved = [[s**2 * by.get(o, 0.0) for o in own] for s, by in model.considered.values()]
+            held = np.reshape(moved, (first - n, len(own)))
+            beside = np.vstack([model.flight_covariance[:n], held])
+            covariance[:first, first:], covariance[first:, :first] = beside, beside.T
+            covariance[first:, first:] = model.flight_covariance[n:]
         values = np.array([float(model.values[name]) for name in names])
         return cls(names=names, values=values, covariance=covariance)
 

@@ -22,9 +22,15 @@ EFFECTS = tuple(effect_by_name(n) for n in ("rotational_damping", "payload_mass"
 KNOWN = {"rotational_damping.d_p": (4e-3, 1e-4), "thrust.c2": (1.1e-5, 1e-7)}
 
 
+class StandIn(SimpleNamespace):
+    """A model, as far as its errors go."""
+
+    joint_covariance = IdentifiedModel.joint_covariance
+
+
 def identified() -> IdentifiedModel:
     """A model with damping, as far as a search looks at it."""
-    model: Any = SimpleNamespace(
+    model: Any = StandIn(
         values={n: v for n, (v, _) in KNOWN.items()} | {"payload_mass.mu": 0.1},
         covariance=np.diag([s**2 for _, s in KNOWN.values()]),
         covariance_names=tuple(KNOWN),

@@ -28,6 +28,12 @@ NAMES = tuple(VALUES)[:4]
 SIZE = np.array([VALUES[n] for n in NAMES]) / 100
 
 
+class StandIn(SimpleNamespace):
+    """A model, as far as its errors go."""
+
+    joint_covariance = IdentifiedModel.joint_covariance
+
+
 def model_of(covariance: np.ndarray, **changes: object) -> IdentifiedModel:
     """A model, as far as its errors go: those of four numbers, each about a hundredth."""
     nothing: dict[str, Any] = {
@@ -37,7 +43,7 @@ def model_of(covariance: np.ndarray, **changes: object) -> IdentifiedModel:
         "flight_covariance": np.zeros((0, 0)),
         "per_flight": {},
     }
-    model = SimpleNamespace(
+    model = StandIn(
         values=VALUES,
         dynamics=SimpleNamespace(
             parameters=[SimpleNamespace(name=n, scale=s) for n, s in USUAL.items()]
