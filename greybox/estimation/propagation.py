@@ -3,14 +3,14 @@
 Linearised along the predicted path, in the error state d of the model:
 
     S+ = A S A' + G Q G'                        filter error and process noise, white from step to step
-    c+ = A c + G sd_g(z),   b+ = A b + B        errors of the learned push and of parameters: constant over the horizon
+    c+ = A c + G L(z),   b+ = A b + B           errors of the learned push and of parameters
     Sigma = S + c c' + b Cov(p) b'
 
-An error of the learned function or of a parameter is the same at every step of one prediction, so
-it is carried as a consider state (Schmidt 1966) and not as fresh noise per step, which would
-average it out. What the model does not explain and is correlated in time is a state of `Augmented`,
-with its own covariance in S. G is that of the model's reference point: in the error state it hardly
-depends on the path.
+An error of a parameter is the same at every step of one prediction, so it is carried as a consider
+state (Schmidt 1966) and not as fresh noise per step, which would average it out; that of the
+learned function as far as its features stay alike (`ErrorAlongPath`). What the model does not
+explain and is correlated in time is a state of `Augmented`, with its own covariance in S. G is that
+of the model's reference point: in the error state it hardly depends on the path.
 """
 
 from __future__ import annotations
@@ -18,19 +18,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.error_along_path import ErrorAlongPath
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.smoothing import transitions
-from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import as_flights_are
-from greybox.model.layer import learned_push_of
-from greybox.symbolic import FloatArray, evaluate
+from greybox.model.layer import LearnedPush, learned_push_of
+from greybox.symbolic import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +48,8 @@ class Propagator:
 
     `extra` adds (or replaces) parameter standard deviations by name, such as those of an adaptation
     to the flight. `parameters=False` leaves the parameters' uncertainty out, `learned=False` that
-    of a learned push. `noise` (n_w) replaces the model's process-noise levels.
+    of a learned push, `weights=False` the part of it that is in its weights. `noise` (n_w) replaces
+    the model's process-noise levels.
     """
 
     def __init__(
@@ -59,6 +59,7 @@ class Propagator:
         extra: Mapping[str, float] | None = None,
         parameters: bool = True,
         learned: bool = True,
+        weights: bool = True,
         noise: FloatArray | None = None,
         use_compiler: bool = True,
     ) -> None:
@@ -74,7 +75,8 @@ class Propagator:
             noise = model.noise_ahead
         self.noise = (g * noise**2) @ g.T
         self.seen = (d * noise**2) @ d.T + np.diag(model.sensor_noise**2)
-        self._learned = _learned_spread(model.dynamics) if learned else None
+        self.learned = learned_push_of(model.dynamics) if learned else None
+        self.open_only = not weights
 
     def run(
         self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int
@@ -104,9 +106,8 @@ def run_together(
     if m and rows.max() + horizon > record.n:
         raise FitError("an origin has fewer samples after it than the horizon")
     states = np.ascontiguousarray(filtered.states[rows])
-    spreads = [p._learned for p in propagators if p._learned is not None]
     white = [filtered.state_covariances(rows) for _ in propagators]
-    learned = np.zeros((m, nd, spreads[0].count if spreads else 0))
+    learned = {k: _Learned.of(p, m) for k, p in _kinds(propagators).items()}
     start = np.zeros((m, nd, na + nd))
     start[:, :, na:] = np.eye(nd)
     for h in range(1, horizon + 1):
@@ -117,30 +118,68 @@ def run_together(
         # `found` describes the output at this sample and the state after it.
         c, direct = found.sensitivity[:, :, na:], found.sensitivity[:, :, :na]
         a, bias = found.end_sensitivity[:, :, na:], start[:, :, :na]
-        push = spreads[0].spread(states, record.inputs, at, engine) if spreads else np.zeros((m, 0))
-        into = first.push[:, spreads[0].rows] if spreads else np.zeros((nd, 0))
-        through = (
-            first.through[:, spreads[0].rows] if spreads else np.zeros((len(first.through), 0))
-        )
-        now = c @ learned - through * push[:, None, :]
         out = []
         # Of a craft that cannot be, it may spread beyond all numbers: the verdict tells that.
         with np.errstate(over="ignore", invalid="ignore"):
+            for error in learned.values():
+                error.arrive(states, _windows(engine, record.inputs, at))
             for i, p in enumerate(propagators):
                 total, inner = white[i], c @ white[i] @ c.transpose(0, 2, 1) + p.seen
                 if p.spread.size:
                     total = total + bias @ p.spread @ bias.transpose(0, 2, 1)
                     # `sensitivity` already holds ex S + ep for the parameter columns.
                     inner = inner + direct @ p.spread @ direct.transpose(0, 2, 1)
-                if p._learned is not None:
-                    total = total + learned @ learned.transpose(0, 2, 1)
+                if p.learned is not None:
+                    error = learned[p.open_only]
+                    carried = error.along.carried
+                    now = c @ carried - error.along.seen(error.through)
+                    total = total + carried @ carried.transpose(0, 2, 1)
                     inner = inner + now @ now.transpose(0, 2, 1)
                 out.append(Ahead(h=h, states=states, covariance=total, innovation_covariance=inner))
                 white[i] = a @ white[i] @ a.transpose(0, 2, 1) + p.noise
+            for error in learned.values():
+                error.along.step(a)
         yield out
-        learned = a @ learned + into * push[:, None, :]
         start[:, :, :na] = found.end_sensitivity[:, :, :na]
         states = found.ends
+
+
+def _windows(engine: Engine, inputs: FloatArray, rows: npt.NDArray[np.int_]) -> FloatArray:
+    """Command windows (m, n_u k) of samples `rows` (m,), a column after the other."""
+    width = engine.past + 1 + engine.future
+    return inputs[rows[:, None] + np.arange(width)].reshape(len(rows), -1)
+
+
+def _kinds(propagators: Sequence[Propagator]) -> dict[bool, Propagator]:
+    """One of the propagators for each kind of errors of a learned push that any of them counts."""
+    return {p.open_only: p for p in propagators if p.learned is not None}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Learned:
+    """Errors of a learned push `along` the path. `through` (n_e, n_out): how the push acts on a
+    measurement."""
+
+    push: LearnedPush
+    through: FloatArray
+    along: ErrorAlongPath
+
+    @classmethod
+    def of(cls, propagator: Propagator, predictions: int) -> _Learned:
+        """At the origins of so many predictions."""
+        push = propagator.learned
+        assert push is not None
+        rows = list(push.learned_rows)
+        return cls(
+            push=push,
+            through=propagator.through[:, rows],
+            along=ErrorAlongPath(
+                propagator.push[:, rows], predictions, open_only=propagator.open_only
+            ),
+        )
+
+    def arrive(self, states: FloatArray, windows: FloatArray) -> None:
+        self.along.arrive(self.push.learned_errors(states, windows))
 
 
 def _parameter_covariance(
@@ -160,36 +199,3 @@ def _parameter_covariance(
         extra[n] ** 2 for n in own
     ]
     return names, cov
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Learned:
-    """Standard deviation of a learned push along a path."""
-
-    function: ca.Function
-    rows: list[int]
-
-    @property
-    def count(self) -> int:
-        return len(self.rows)
-
-    def spread(
-        self, states: FloatArray, inputs: FloatArray, rows: npt.NDArray[np.int_], engine: Engine
-    ) -> FloatArray:
-        width = engine.past + 1 + engine.future
-        windows = inputs[rows[:, None] + np.arange(width)].reshape(len(rows), -1)
-        return np.sqrt(np.maximum(evaluate(self.function, states, windows), 0.0))
-
-
-def _learned_spread(dynamics: Dynamics) -> _Learned | None:
-    """Standard deviation of the learned push; None for a model without a learned part."""
-    learned = learned_push_of(dynamics)
-    if learned is None:
-        return None
-    past, future = dynamics.window
-    x = ca.MX.sym("x", len(dynamics.states))
-    window = ca.MX.sym("U", len(dynamics.inputs), past + 1 + future)
-    variance = ca.densify(learned.learned_variance(x, window))
-    return _Learned(
-        function=ca.Function("spread", [x, window], [variance]), rows=list(learned.learned_rows)
-    )

@@ -195,6 +195,17 @@ def own_window(dynamics: Dynamics, window: Expr) -> Expr:
     return window[:, window.shape[1] - 1 - sum(dynamics.window) :]
 
 
+class LearnedErrors(ABC):
+    """The error of a learned push at m places."""
+
+    @abstractmethod
+    def together(self, other: Self, *, open_only: bool = False) -> FloatArray:
+        """Covariance (m, n_out) with the error at the m places of `other`, one with one.
+
+        open_only: of what no weight can say, as between the support points of a process, alone.
+        """
+
+
 class LearnedPush(Layer):
     """A layer that adds a learned push to some process-noise channels, and says how sure of it it
     is."""
@@ -207,6 +218,11 @@ class LearnedPush(Layer):
     @abstractmethod
     def learned_variance(self, x: Expr, window: Expr) -> Expr:
         """Variance of the learned push (n_out) at state x (n_x) and command window."""
+
+    @abstractmethod
+    def learned_errors(self, states: FloatArray, windows: FloatArray) -> LearnedErrors:
+        """Error of the learned push at states (m, n_x) with command windows (m, n_u k), a column of
+        the window after the other."""
 
 
 def layers(dynamics: Dynamics) -> Iterator[Layer]:

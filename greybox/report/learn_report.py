@@ -304,11 +304,10 @@ def _uncertainty(report: Report, content: LearnDocument, validation: BeforeAfter
     report.paragraph(
         "Every prediction carries a covariance: of the filter's state, of the physical parameters, "
         "of the learned push "
-        "(the same error over a whole prediction), of disturbances that are correlated in time and "
-        "of white noise. The "
-        "process noise that a prediction collects over a horizon was scaled by one factor per "
-        "group, so that the errors of "
-        "the training flights up to half a second ahead are as likely as they can be."
+        "(the same error for as long as its features stay alike), of disturbances that are "
+        "correlated in time and of white noise. The process noise that a prediction collects over "
+        "a horizon was scaled by one factor per group, so that the errors of the training flights "
+        "up to half a second ahead are as likely as they can be."
     )
     body: list[list[Cell]] = [[name, number(value, 3)] for name, value in factors.items()]
     report.table(

@@ -20,8 +20,9 @@ import casadi as ca
 import numpy as np
 
 from greybox.model.dynamics import Dynamics
-from greybox.model.layer import LearnedPush
+from greybox.model.layer import LearnedErrors, LearnedPush
 from greybox.model.parameter import Parameter
+from greybox.residual.errors_together import NoErrors
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import Kernel
@@ -66,6 +67,10 @@ class DrawnPush(LearnedPush):
     def learned_variance(self, x: Expr, window: Expr) -> Expr:
         """None: a draw is one function."""
         return ca.DM.zeros(len(self.learned_rows), 1)
+
+    def learned_errors(self, states: FloatArray, windows: FloatArray) -> LearnedErrors:
+        """None: a draw is one function."""
+        return NoErrors(shape=(len(states), len(self.learned_rows)))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

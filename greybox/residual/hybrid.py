@@ -16,16 +16,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.files import Json, checksum
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
-from greybox.model.layer import LearnedPush
+from greybox.model.layer import LearnedErrors, LearnedPush
+from greybox.residual.errors_together import errors_at
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import features, reach
 from greybox.residual.posterior import GPPosterior
-from greybox.symbolic import Expr
+from greybox.symbolic import Expr, FloatArray, evaluate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -112,6 +114,20 @@ class HybridModel(LearnedPush):
         """
         on = ca.DM([float(v) for v in self.posterior.active])
         return on * self.posterior.variance(self.learned_inputs(x, window))
+
+    def learned_errors(self, states: FloatArray, windows: FloatArray) -> LearnedErrors:
+        """Errors of the learned push at states (m, n_x) with command windows (m, n_u k), of this
+        model or of layers on it."""
+        look = self._look
+        own = [np.ascontiguousarray(states[:, : look.numel_in(0)])]
+        own.append(np.ascontiguousarray(windows[:, windows.shape[1] - look.numel_in(1) :]))
+        return errors_at(self.posterior, evaluate(look, *own))
+
+    @cached_property
+    def _look(self) -> ca.Function:
+        x = ca.MX.sym("x", len(self.inner.states))
+        window = ca.MX.sym("u", len(self.inner.inputs), sum(self.window) + 1)
+        return ca.Function("look", [x, window], [ca.densify(self.learned_inputs(x, window))])
 
     @cached_property
     def _spread(self) -> Expr:

@@ -101,6 +101,14 @@ class Kernel:
             k = k + (self.features(support).T * self.slopes) @ self.features(x)
         return k, g
 
+    def paired(self, x: FloatArray, b: FloatArray) -> FloatArray:
+        """k(x_i, b_i) (N,) of columns x and b (n_in, N)."""
+        square = (((x - b) / self.lengthscales[:, None]) ** 2).sum(axis=0)
+        k: FloatArray = self.variance * correlation(self.family, square, np)[0]
+        if self.slopes is not None:
+            k = k + self.slopes @ (self.features(x) * self.features(b))
+        return k
+
     def prior_variance(self, x: Numeric, xp: Namespace = np) -> Numeric:
         """k(x, x): (1, N)."""
         if self.slopes is None:

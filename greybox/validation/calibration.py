@@ -7,17 +7,18 @@ step ahead is too small (or too large) at half a second. The covariance h sample
 the squared levels,
 
     Sigma_h = Sigma_h(filter error) + sum_g kappa_g^2 Sigma_h(noise of group g) +
-    Sigma_h(learned) + Sigma_h(parameters)
+    Sigma_h(open) + Sigma_h(weights) + Sigma_h(parameters)
 
 so that the factors kappa_g of the groups (force, torque, ...) follow from the multi-step errors of
 the training flights at little cost: the likeliest, given that they are about one where errors (one
-window after the other, sensor by sensor) say nothing. The last two parts are not in these errors:
-parameters and the weights of what was learned were fitted to the same flights. Counted there,
-parameters took the place of the noise, of which a new flight may have more; and the spread of a
-learned push, scaled to errors that do not hold it, became two to six times too small for the push
-itself. It stays as flights that were left out say (`greybox.residual.open_loop_fit`). The filter
-keeps its own levels. Flights differ: one more factor, on the noise, makes the 95 % regions hold on
-a flight that was not seen (`greybox.validation.new_flight`).
+window after the other, sensor by sensor) say nothing. What a learned push leaves open between its
+support points is in these errors, and counts. The last two parts are not: parameters and the
+weights of what was learned were fitted to the same flights. Counted there, parameters took the
+place of the noise, of which a new flight may have more; and the spread of a learned push, scaled to
+errors that do not hold it, became two to six times too small for the push itself. It stays as
+flights that were left out say (`greybox.residual.open_loop_fit`). The filter keeps its own levels.
+Flights differ: one more factor, on the noise, makes the 95 % regions hold on a flight that was not
+seen (`greybox.validation.new_flight`).
 
 (Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated
 physics of the error growth stays.)
@@ -179,7 +180,7 @@ class _Parts:
                 runner,
                 parameters=False,
                 noise=np.where(self.members == g, levels, 0.0),
-                learned=False,
+                weights=False,
             )
             for g in range(-1, len(self.groups))
         ]

@@ -1,19 +1,12 @@
 """The NanoBench flights through greybox: fitted on nine, judged on five; or every type of
 trajectory held out once.
 
-    python -m scenarios.studies.nanobench [--by-hand] [--leave-one-type-out] [--out DIR]
+    python -m scenarios.studies.nanobench [--leave-one-type-out] [--out DIR]
     python -m scenarios.studies.nanobench --fitted MODEL.json
 
-What is fitted is decided from the flights, as by plain `greybox fit`; --by-hand takes the recipe
-below instead, which the figures of docs/studies/hybrid.md were made with. --fitted judges a model
-that there is. Mean absolute errors come with their 95 % interval: flights are drawn, then
-blocks of two seconds of these.
-
-Why by hand so: attitude and position come from another clock than gyro, accelerometer and commands,
-and drift against them by some 10 ms; sensor levels are therefore held at what the vehicle file
-says, the disagreement is noise on the attitude kinematics, and the parameters come from errors up
-to half a second ahead. Mass and thrust scale only as a ratio, and yaw is hardly excited, so that
-mass and the rotors' drag torque stay at their published values.
+What is fitted is decided from the flights, as by plain `greybox fit`. --fitted judges a model that
+there is. Mean absolute errors come with their 95 % interval: flights are drawn, then blocks of two
+seconds of these.
 """
 
 from __future__ import annotations
@@ -27,67 +20,17 @@ import numpy as np
 from greybox import automatic
 from greybox.data import Dataset
 from greybox.data.logs import read_logs
-from greybox.estimation.fit import Fit, fit
-from greybox.estimation.record import sample_time
 from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
-from greybox.model.model import build_model
-from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.model.vehicle import read_vehicle
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.validate import Validation, validate
 
-EFFECTS = (
-    "motor_lag",
-    "command_delay",
-    "battery_sag",
-    "rotor_drag",
-    "blade_flapping",
-    "rotational_damping",
-    "rotor_asymmetry",
-    "accelerometer_bias",
-    "gyro_bias",
-    "mocap_misalignment",
-    "pose_delay",
-)
-PER_FLIGHT = (
-    "thrust.c2",
-    "rotor_asymmetry.delta_1",
-    "rotor_asymmetry.delta_2",
-    "rotor_asymmetry.delta_3",
-    "mocap_misalignment.theta_x",
-    "mocap_misalignment.theta_y",
-    "mocap_misalignment.theta_z",
-    "pose_delay.d",
-)
 ADAPT = 5.0
 """Seconds of a judged flight that its own values come from."""
 AHEAD, DRAWS = (1, 10, 50, 100), 4000
 """Samples ahead whose errors get an interval, and how often flights are drawn for it."""
-FIXED = ("mass", "battery_sag.c_V", "torque.c2")
-
-
-def fit_by_hand(vehicle: Vehicle, data: Dataset) -> Fit:
-    """The fit by the recipe."""
-    model = build_model(
-        vehicle,
-        data.channels,
-        EFFECTS,
-        sample_time=sample_time(data),
-        noncausal=data.noncausal,
-        kinematic_noise=True,
-    )
-    return fit(
-        model,
-        data,
-        predictor="multi-step",
-        initialisation="innovation",
-        estimate_noise="process",
-        disturbance=("force", "torque"),
-        per_flight=PER_FLIGHT,
-        fixed=FIXED,
-        values={"battery_sag.c_V": 1.0},
-    )
 
 
 def judged(model: IdentifiedModel, data: Dataset) -> Validation:
@@ -136,9 +79,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--by-hand", action="store_true", help="by the recipe of this file, nothing decided"
-    )
-    parser.add_argument(
         "--leave-one-type-out", action="store_true", help="every type of trajectory held out once"
     )
     parser.add_argument("--out", metavar="DIR", help="folder for models and results")
@@ -166,9 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     total: dict[tuple[str, int], tuple[float, int]] = {}
     for name, (train, held_out) in folds.items():
         flights = data.select(train)
-        result = (
-            fit_by_hand(vehicle, flights) if options.by_hand else automatic.fit(vehicle, flights)
-        )
+        result = automatic.fit(vehicle, flights)
         checked = judged(result.model, data.select(held_out))
         print(
             f"\n{name}: {', '.join(held_out)}\n{result.summary()}\n{checked.format()}", flush=True

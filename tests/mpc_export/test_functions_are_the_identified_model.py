@@ -14,6 +14,7 @@ from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
 from greybox.estimation.settling import RecordGains
+from greybox.residual.errors_together import ProcessErrors
 from greybox.residual.hybrid import HybridModel
 from mpc_export.functions import model_functions
 from tests.mpc_export import cases
@@ -247,7 +248,14 @@ def test_the_filter_of_a_linear_model_is_its_innovation_form():
 
 
 @pytest.mark.parametrize("kind", ["physics", "hybrid"])
-def test_uncertainty_travels_as_greybox_propagates_it(kind):
+def test_uncertainty_travels_as_greybox_propagates_it(kind, monkeypatch):
+    # A controller carries one error of what was learned, the same over its horizon.
+    variance = ProcessErrors.together
+    monkeypatch.setattr(
+        ProcessErrors,
+        "together",
+        lambda one, other, **_: np.sqrt(variance(one, one) * variance(other, other)),
+    )
     functions, model = exported(kind), KINDS[kind]()
     runner = Filter(model, use_compiler=False)
     horizon, past = 12, model.dynamics.window[0]

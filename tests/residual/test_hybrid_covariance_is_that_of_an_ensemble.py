@@ -1,5 +1,5 @@
-"""The uncertainty of a learned push travels along a prediction as one error, checked against drawn
-functions."""
+"""The uncertainty of a learned push travels along a prediction as that of one function, checked
+against drawn functions."""
 
 from __future__ import annotations
 
@@ -105,7 +105,6 @@ def test_an_error_that_is_one_along_the_path_is_propagated_exactly():
     assert stated == pytest.approx(found, rel=0.12)
 
 
-def test_an_error_that_changes_along_the_path_is_never_understated():
+def test_an_error_that_changes_along_the_path_is_propagated_too():
     stated, found = stated_and_found(lengthscale=1.5, level=0.4)
-    assert np.all(stated > 0.9 * found)
-    assert np.all(stated < 6 * found)
+    assert stated == pytest.approx(found, rel=0.12)
