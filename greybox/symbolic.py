@@ -220,11 +220,13 @@ class OnArrays:
         self._stored: list[tuple[FloatArray, FloatArray, IntArray]] = []
         for i in range(function.n_out()):
             pattern = function.sparsity_out(i)
-            stored, whole = np.zeros(max(pattern.nnz(), 1)), np.zeros(pattern.numel())
+            whole = np.zeros(max(pattern.numel(), 1))
+            stored = whole if pattern.is_dense() else np.zeros(max(pattern.nnz(), 1))
             self._buffer.set_res(i, stored.data)
-            place = np.array(pattern.find(), dtype=np.int64)
-            self._stored.append((stored, whole, place))
-            self._results.append(whole.reshape(pattern.shape, order="F"))
+            if stored is not whole:
+                place = np.array(pattern.find(), dtype=np.int64)
+                self._stored.append((stored, whole, place))
+            self._results.append(whole[: pattern.numel()].reshape(pattern.shape, order="F"))
 
     def __call__(self, *given: npt.ArrayLike) -> list[FloatArray]:
         """The results at these arguments."""

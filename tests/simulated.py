@@ -11,7 +11,7 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.vehicle import Vehicle, read_vehicle
-from greybox.plants.flight_log import fly, member
+from greybox.plants.flight_log import fly
 from greybox.plants.presets import controller_for
 from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
@@ -35,33 +35,26 @@ def vehicle(**sigma: float) -> Vehicle:
         )
 
 
-TOGETHER = 3
-"""Flights that are flown side by side, which takes as long as one of them."""
-
-
 @functools.cache
 def flights(count: int = 2, seconds: float = 8.0, first_seed: int = 40) -> Dataset:
     """`count` flights of the plant at 100 Hz, named run0, run1, ..."""
-    sets = _flown(max(count, TOGETHER), seconds, first_seed)[:count]
+    sets = [_flown(f"run{i}", seconds, first_seed + i) for i in range(count)]
     return sum(sets[1:], start=sets[0])
 
 
 @functools.cache
-def _flown(count: int, seconds: float, first_seed: int) -> tuple[Dataset, ...]:
+def _flown(name: str, seconds: float, seed: int) -> Dataset:
     true_plant = plant()
-    seeds = list(range(first_seed, first_seed + count))
     log = fly(
         true_plant,
         controller_for(true_plant),
         RandomWaypoints(),
         rich_excitation(),
         seconds,
-        seed=seeds,
+        seed=seed,
         warm_up=1.0,
     )
-    sets = []
-    for i in range(count):
-        one = {k: v for k, v in member(log, i).items() if not k.startswith("omega")}
-        t = one.pop("t")
-        sets.append(dataset_from_arrays(t, one, name=f"run{i}"))
-    return tuple(sets)
+    t = log.pop("t")
+    return dataset_from_arrays(
+        t, {k: v for k, v in log.items() if not k.startswith("omega")}, name=name
+    )

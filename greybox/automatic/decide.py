@@ -211,6 +211,7 @@ class _Comparison:
     def carried_out(self) -> tuple[tuple[Step, ...], FitOptions, Candidate | None]:
         """(steps, options, the candidate that they are of: None where nothing could be fitted)."""
         steps, options = self.trials.largest, self.setting.options
+        self.say(f"  fitting {len(steps)} set(s) of effects, the smallest first")
         first = self.trials.tried(steps[:1], options, None)
         if first is None:
             return steps[:1], options, None
@@ -263,6 +264,8 @@ class _Comparison:
         if "noise_parts" in self.setting.given.choices or "free" in self.setting.given.choices:
             return options, first
         offered = lasting_poses(first.likelihood)
+        if offered:
+            self.say("  fitting noise of the pose that lasts")
         own, begun, said = self._begun_with_noise(options, first, first.steps, offered)
         if not offered or not said:
             return options, first

@@ -196,7 +196,9 @@ def fit_decided(
     decisions = [*prepared.decisions(), *decided.decisions]
     recipe: Recipe = replace(decided.recipe, rate=prepared.rate)
     found, recipe = _carried_out(vehicle, prepared.data, recipe, decisions, said, say, progress)
-    found = _with_what_flights_tell(vehicle, prepared.data, found, recipe, decisions, said, say)
+    found = _with_what_flights_tell(
+        vehicle, prepared.data, found, recipe, decisions, said, say, progress
+    )
     return with_one_step(found, decided.candidate)
 
 
@@ -267,6 +269,7 @@ def _with_what_flights_tell(
     decisions: Sequence[Decision],
     said: Given,
     say: Say,
+    progress: Progress | None = None,
 ) -> Fit:
     """The fit, with the parameters estimated that were held for a ratio and that the flights tell
     better than they are stated; as it was where nothing is told, such a fit does not end well, or
@@ -284,7 +287,9 @@ def _with_what_flights_tell(
         decided = [*(d for d in decisions if d.about not in told), *new]
         again = None
         with contextlib.suppress(FitError):
-            again, freed = _carried_out(vehicle, data, freed, decided, said, say, falls_back=False)
+            again, freed = _carried_out(
+                vehicle, data, freed, decided, said, say, progress, falls_back=False
+            )
         if again is None or (failed := _no_minimum(again, found)):
             why = "that fit fails" if again is None else failed
             say(f"  {', '.join(told)}: held after all, as {why}")

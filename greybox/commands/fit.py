@@ -166,6 +166,7 @@ def _fitted(job: Job, console: Console) -> Fit:
     withdraw(job.out, *RESULTS)
     save(job, result.judged(UNFINISHED))
     arguments.kept = f"the fit is in {job.out}, unfinished"
+    console.say("how sure the model is of what it foretells, and how well it does that:")
     return calibrated(with_lasting(with_rivals(result, data), data), data)
 
 

@@ -120,23 +120,19 @@ def _stays(t: FloatArray, height: FloatArray | None) -> float:
     return max(float(t[left[0]] - t[0]) - MARGIN, 0.0) if left.size and higher else 0.0
 
 
-def _unmoved(t: FloatArray, height: FloatArray | None, turns: Motion | None) -> tuple[bool, bool]:
-    """Whether the craft keeps stiller at the beginning, and at the end, than its commands let it in
-    flight, while its height stays put."""
+def _unmoved(t: FloatArray, height: FloatArray | None, turns: Motion | None, end: int) -> bool:
+    """Whether the craft keeps stiller at the beginning (`end` 0), or at the end (1), than its
+    commands let it in flight, while its height stays put."""
     if height is None or turns is None:
-        return False, False
+        return False
     head, tail = _stays(t, height), _stays(-t[::-1], height[::-1])
     first, last = float(t[0]), float(t[-1])
     flight = (
         first + (head + 2.0 * MARGIN) * (head > 0.0),
         last - (tail + 2.0 * MARGIN) * (tail > 0.0),
     )
-    ends = ((first, first + head), (last - tail, last))
-    begins, stops = (
-        stop - start > WINDOW and stiller_than_in_flight(turns, (start, stop), flight)
-        for start, stop in ends
-    )
-    return begins, stops
+    start, stop = ((first, first + head), (last - tail, last))[end]
+    return stop - start > WINDOW and stiller_than_in_flight(turns, (start, stop), flight)
 
 
 def _standing(
@@ -150,14 +146,16 @@ def _standing(
     tail = slice(int(np.searchsorted(t, t[-1] - WINDOW)), n)
     ends = []
     grounds = []
-    begins, stops = _unmoved(t, height, turns)
-    for rows, low, unmoved in (
-        (head, t[strong[0]] - t[0] > 0.05 if strong.size else True, begins),
-        (tail, t[-1] - t[strong[-1]] > 0.05 if strong.size else True, stops),
+    for end, rows, low in (
+        (0, head, t[strong[0]] - t[0] > 0.05 if strong.size else True),
+        (1, tail, t[-1] - t[strong[-1]] > 0.05 if strong.size else True),
     ):
         flat = _flat(height, rows)
         falls = float(np.median(share[rows])) < WEAK
-        at_rest = low if flat is None else flat and (low or falls or unmoved)
+        # How still it keeps takes longest to find, and is asked last.
+        at_rest = (
+            low if flat is None else flat and (low or falls or _unmoved(t, height, turns, end))
+        )
         ends.append((rows, flat, at_rest))
         if at_rest and height is not None and flat:
             grounds.append(float(np.nanmedian(height[rows])))

@@ -3,6 +3,7 @@ file contract."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -10,7 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.plants.controller import Mixer, Setpoint
+from greybox.plants.controller import CascadeController, Mixer, Setpoint
+from greybox.plants.quadrotor import Quadrotor
 from greybox.plants.vectors import Command, Number, Quaternion, Vector
 
 Array = NDArray[np.float64]
@@ -20,6 +22,8 @@ TRUTH = "true."
 """Prefix of the columns that a real log would not have: the true states."""
 CLEAN = "clean."
 """Prefix of what the sensors would have said without noise, bias, scale and delay included."""
+FEW = 8
+"""A batch steps through arrays, which takes as long as this many flights one after the other."""
 EXTRAS = ("truth", "clean")
 """What a log can hold beside the measurements: see `fly`."""
 
@@ -136,7 +140,8 @@ def fly(
     """Fly `duration` s from the start of the reference and return the log.
 
     dt [s]: sample time of controller and log. seed: an integer, or a sequence of B integers, which
-    flies B vehicles at once, each with its own noise, reference and excitation. warm_up [s]: flown
+    flies B vehicles, each with its own noise, reference and excitation: at once, or one after the
+    other where they are few and differ in their seeds alone, which is faster. warm_up [s]: flown
     before the log begins (its time starts at zero all the same). charge_used [A s]: what the
     battery has given before. record: columns to add, "truth" (the true states, as `true.<state>`)
     and "clean" (`clean.<column>`, what the sensors would have said without noise). Row k holds the
@@ -145,6 +150,40 @@ def fly(
     """
     if unknown := sorted(set(record) - set(EXTRAS)):
         raise ValueError(f"record takes {' and '.join(EXTRAS)}, not {', '.join(unknown)}")
+    flown = functools.partial(
+        _flown, plant, controller, reference, excitation, duration, dt, warm_up, record
+    )
+    if isinstance(seed, int | np.integer):
+        return flown(seed, charge_used)
+    if not (0 < len(seed) < FEW and _one_by_one(plant, controller)):
+        return flown(seed, charge_used)
+    used = np.broadcast_to(charge_used, len(seed)).tolist()
+    logs = [flown(s, charge) for s, charge in zip(seed, used)]
+    return {
+        name: values if name == "t" else np.stack([one[name] for one in logs], axis=-1)
+        for name, values in logs[0].items()
+    }
+
+
+def _one_by_one(plant: Plant, controller: Controller) -> bool:
+    """Whether a batch of this plant is as many single flights; what keeps a batch's books is flown
+    as one."""
+    return type(plant) is Quadrotor and plant.alike and type(controller) is CascadeController
+
+
+def _flown(
+    plant: Plant,
+    controller: Controller,
+    reference: Reference,
+    excitation: Excitation | None,
+    duration: float,
+    dt: float,
+    warm_up: float,
+    record: Collection[str],
+    seed: int | Sequence[int],
+    charge_used: Number,
+) -> Log:
+    """As `fly`, a batch at once."""
     single = isinstance(seed, int | np.integer)
     lead, rows = round(warm_up / dt), round(duration / dt)
     time = dt * np.arange(lead + rows)

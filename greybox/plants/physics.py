@@ -93,15 +93,15 @@ class Physics:
         body.rotation = rotation(body.attitude)
         body.nu = nu
         body.nu_rate = nu_rate
-        body.speed = [self.scale * n for n in nu]
-        body.speed_rate = [self.scale * n for n in nu_rate]
         body.voltage = voltage
         body.hidden = {effect.name: state[where] for effect, where in self._slices}
         wind = body.wind = body.airspeed = ZERO
         for hook in self._winds:
             wind = add(wind, hook(body))
         body.wind = wind
-        if self._any_effect:
+        if self._any_effect:  # nobody else looks
+            body.speed = [self.scale * n for n in nu]
+            body.speed_rate = [self.scale * n for n in nu_rate]
             body.airspeed = apply_transposed(body.rotation, subtract(body.velocity, wind))
         return body
 

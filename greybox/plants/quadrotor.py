@@ -113,6 +113,12 @@ class Quadrotor:
         return len(self.airframe.rotors)
 
     @property
+    def alike(self) -> bool:
+        """Whether the vehicles of a batch differ in their seeds alone."""
+        levels = [v for part in (self.process, self.sensors, self.battery) for v in _values(part)]
+        return self._members is None and not any(isinstance(v, np.ndarray) for v in levels)
+
+    @property
     def batch(self) -> int | None:
         """Number of vehicles in the batch, or None for a single vehicle."""
         return self._batch
@@ -159,6 +165,7 @@ class Quadrotor:
         self._row = self._draws.row()
         self._disturbance.advance(self._row)
         self._memory: Memory | None = None
+        self._read: tuple[tuple[Any, ...], list[Number]] | None = None
         if self._late:
             first = self._reading(self.time, *self._speeds_now())
             self._memory = Memory(self._longest, first)
@@ -267,7 +274,7 @@ class Quadrotor:
             act.hold(self.time, self._columns(u))
         act.target = act.steady(act.at(self.time), self.voltage)
         nu = [act.start(n, s) for n, s in zip(act.nu, act.target)]
-        return nu, act.rates(nu, act.pull)
+        return nu, act.rates(nu, act.pull) if self._needs_speed_rate else []
 
     def _reading(self, time: float, nu: list[Number], nu_rate: list[Number]) -> list[Number]:
         """Undelayed noise-free gyro, specific force, attitude, position, velocity (16 values) and
@@ -284,6 +291,19 @@ class Quadrotor:
         velocity = add(body.velocity, apply(body.rotation, cross(body.rates, physics.tracked)))
         return [*body.rates, *felt, *body.attitude, *position, *velocity, *nu]
 
+    def _reading_now(self, u: Command | None) -> list[Number]:
+        """The reading if the command u begins now. A controller asks before it commands and a log
+        after it: rotors that lag have not moved in between."""
+        nu, nu_rate = self._speeds_now(u)
+        if self._batch is not None:
+            return self._reading(self.time, nu, nu_rate)
+        of = (self._state, self._disturbance.force, self.time, self.voltage, nu, nu_rate)
+        if self._read is None or any(
+            a is not b and (k < 2 or a != b) for k, (a, b) in enumerate(zip(self._read[0], of))
+        ):
+            self._read = of, self._reading(self.time, nu, nu_rate)
+        return self._read[1]
+
     def measure(self, u: Command | None = None, *, noise: bool = True) -> dict[str, Number]:
         """Measurements at the present time by flight-log column; floats, or arrays (B,) for a
         batch.
@@ -294,7 +314,7 @@ class Quadrotor:
         """
         row = self._row if noise else [0.0] * COLUMNS
         sensors, act = self.sensors, self._actuators
-        now = self._reading(self.time, *self._speeds_now(u))
+        now = self._reading_now(u)
         imu, pose, shown = (
             now if self._memory is None or delay == 0.0 else self._memory.at(self.time - delay)
             for delay in (self._imu_delay, self._pose_delay, self._speed_delay)
@@ -359,6 +379,12 @@ class Quadrotor:
             "process_noise": vars(self.process).copy(),
             "sensor_noise": vars(self.sensors).copy(),
         }
+
+
+def _values(part: object) -> list[object]:
+    """The numbers of a part, those of vectors one by one."""
+    every = [] if part is None else list(vars(part).values())
+    return [v for level in every for v in (level if isinstance(level, tuple) else (level,))]
 
 
 def _noisy(value: Vector, level: Number | Vector, row: list[Number], column: int) -> Vector:

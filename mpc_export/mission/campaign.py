@@ -12,6 +12,7 @@ import functools
 import io
 import multiprocessing
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -29,7 +30,7 @@ from greybox.files import (
     write_atomic,
     write_json,
 )
-from greybox.progress import TimeLeft
+from greybox.progress import FIRST, in_words
 from greybox.report.mpc_documents import FlightRow, FlightTrace, Rehearsal
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
@@ -173,9 +174,23 @@ def _begin(campaign: Campaign) -> None:
     _hangar = Hangar(campaign)
 
 
-def _flown(entry: Entry, seed: int, near: float | None, watch: bool) -> FlightRow:
-    assert _hangar is not None
-    return _hangar.fly(entry, seed, near=near, watch=watch)
+def _flown(
+    entry: Entry, seed: int, near: float | None, watch: bool, hangar: Hangar | None = None
+) -> tuple[FlightRow, float]:
+    """A flight, and the seconds that it took once its controller was there: a controller is
+    compiled once, and says nothing of the flights to come."""
+    flown = hangar or _hangar
+    assert flown is not None
+    flown.pilot(entry)
+    began = time.monotonic()
+    return flown.fly(entry, seed, near=near, watch=watch), time.monotonic() - began
+
+
+def _left(took: Sequence[float], count: int, jobs: int) -> str:
+    """ ", about ... left" for `count` flights, `jobs` at a time, by the seconds of those before;
+    "" where that is soon."""
+    seconds = float(np.mean(took)) * count / max(1, jobs)
+    return f", {in_words(seconds)}" if count and seconds >= FIRST else ""
 
 
 def flights(
@@ -215,15 +230,16 @@ def flights(
     if done and todo:
         say(f"{done} of {total} flights are there already")
 
-    left, before = TimeLeft(), done
-    for row in _run(hangar, todo, jobs, near, watched):
+    took: list[float] = []
+    for row, seconds in _run(hangar, todo, jobs, near, watched):
         trace = row.pop("trace", None)
         if trace is not None:
             write_json(trace_path(campaign, by_name[row["controller"]], row["seed"]), trace)
         rows[row["controller"], row["seed"]] = row
         append_json_line(path, row)
         done += 1
-        rest = left.after((done - before) / (len(todo) + later))
+        took.append(seconds)
+        rest = _left(took, len(todo) + later - len(took), jobs)
         say(f"{done} of {total}: {row['controller']}, flight {row['seed']}: {told(row)}{rest}")
     return kept(campaign, entries, seeds, log=log)
 
@@ -267,17 +283,17 @@ def _run(
     jobs: int,
     near: float | None,
     watched: Sequence[int],
-) -> Iterator[FlightRow]:
+) -> Iterator[tuple[FlightRow, float]]:
     if jobs <= 1 or len(todo) < 2:
         for entry, seed in todo:
-            yield hangar.fly(entry, seed, near=near, watch=seed in watched)
+            yield _flown(entry, seed, near, seed in watched, hangar)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(
         jobs, mp_context=context, initializer=_begin, initargs=(hangar.campaign,)
     ) as pool:
         waiting = list(reversed(todo))
-        running: set[Future[FlightRow]] = set()
+        running: set[Future[tuple[FlightRow, float]]] = set()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:

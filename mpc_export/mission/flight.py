@@ -226,10 +226,19 @@ def fitting(plant: Plant, model: IdentifiedModel, start: tuple[float, float, flo
 
 def truth(plant: Plant) -> Mapping[str, float]:
     """True states of a plant by name."""
+    return states_of(plant)()
+
+
+def states_of(plant: Plant) -> Callable[[], Mapping[str, float]]:
+    """What gives a plant's true states by name; found once, for it is asked at every sample."""
     if isinstance(plant, KnowsStates):
-        return plant.states()
-    states: Mapping[str, float] = plant.truth()["states"]
-    return states
+        return plant.states
+
+    def told() -> Mapping[str, float]:
+        states: Mapping[str, float] = plant.truth()["states"]
+        return states
+
+    return told
 
 
 # ------------------------------------------------------------------------------------ controllers
@@ -406,14 +415,14 @@ def _flown(
     reference = course.sample(times)
     rows, commands, spent, solve, pairs = [], [], [], [], 0
     last: Plan | None = None
-    takes_command = _takes_argument(plant.measure)
+    takes_command, states = _takes_argument(plant.measure), states_of(plant)
     crashed = False
     for k in range(len(times)):
         seen = plant.measure(u) if takes_command else plant.measure()
         began = time.perf_counter()
         after = pilot.sample(float(times[k]), seen)
         spent.append(time.perf_counter() - began)
-        now = truth(plant)
+        now = states()
         rows.append([now[n] for n in TRUE])
         commands.append(u)
         if not np.linalg.norm(np.array(rows[-1][:3]) - reference.position[k]) <= course.lost:

@@ -30,7 +30,7 @@ from greybox.symbolic import FloatArray
 from mpc_export.functions import model_functions
 from mpc_export.noise import parameter_covariance
 from mpc_export.semidefinite import half
-from mpc_export.tube.native import native
+from mpc_export.tube.native import Native, native
 
 BLOCK = 1.0
 """Length of the blocks that disturbances are resampled in [s]."""
@@ -96,7 +96,7 @@ class DrawnModel:
         # As the tube allows for: what it tunes against must push as hard.
         self._levels = np.array(model.noise_ahead, dtype=float)
 
-    def _learned_push(self) -> ca.Function | None:
+    def _learned_push(self) -> Native | None:
         """(x, u, p) -> mean and standard deviation (n_g) of the learned part in its noise channels,
         or None."""
         f = self.functions
@@ -117,7 +117,7 @@ class DrawnModel:
         """`noise` (n_w,) and what the learned part adds to it."""
         w = np.array(noise)
         if self._learned is not None:
-            mean, deviation = (v.full().ravel() for v in self._learned(self._x, u, self._p))
+            mean, deviation = (v.ravel() for v in self._learned(self._x, u, self._p))
             w[self._channels] += mean + deviation * self._error
         return w
 
@@ -145,13 +145,13 @@ class DrawnModel:
             raise ModelError("an identified model steps at its own sample time", got=f"{dt:g} s")
         self._u = np.asarray(u, dtype=float)
         push = self._pushes(self._u, self._w)
-        self._x = self._step(self._x, self._u, self._p, push).full().ravel()
+        self._x = self._step(self._x, self._u, self._p, push)[0].ravel()
         self.time += self.sample_time
 
     def seen(self, u: FloatArray, noise: FloatArray) -> dict[str, float]:
         """Outputs by name under the command u and the process noise (n_w,), without that of the
         sensors."""
-        y = self._output(self._x, u, self._p, self._pushes(u, noise)).full().ravel()
+        y = self._output(self._x, u, self._p, self._pushes(u, noise))[0].ravel()
         return dict(zip(self.functions.outputs.names, y.tolist(), strict=True))
 
     def values(self) -> dict[str, float]:

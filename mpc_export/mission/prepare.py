@@ -241,7 +241,7 @@ def _tuning(
 ) -> tuple[Tuning, list[str]]:
     """What training flights and rehearsals ask for, and a warning where rehearsals do not bound the
     risk."""
-    say(f"counting touched limits on {TUNING} training flights")
+    say(f"counting touched limits on {TUNING} training flights, once the controller is compiled")
     rows = flights(
         hangar,
         [plain],

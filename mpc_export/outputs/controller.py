@@ -178,7 +178,7 @@ class OutputController:
         if self._first:
             self._first, self.x = False, self._begun.start(self.x, y)
         after, e, _ = self._filter(self.x, self.u, self.p, np.where(there != 0, y, 0.0), there)
-        found, x = after.full().ravel(), self.x
+        found, x = after.ravel(), self.x
         if not np.isfinite(found).all():
             blind = self.functions["f_d"](x, self.u, self.p).full().ravel()
             found = np.where(np.isfinite(found), found, np.where(np.isfinite(blind), blind, x))
@@ -186,7 +186,7 @@ class OutputController:
         if not self._begun.settled:
             settled = self.functions["innovation_gain"](there)[0].full()
             more = self._begun.gain(there) - settled
-            moved = more @ np.where(there != 0, e.full().ravel(), 0.0)
+            moved = more @ np.where(there != 0, e.ravel(), 0.0)
             if np.isfinite(moved).all():
                 self.x = self.functions["boxplus"](self.x, moved).full().ravel()
 
@@ -200,7 +200,7 @@ class OutputController:
     def _linearised(self, nominal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """y (N, n_y) along the commands, its slope (N n_y, N n_u) in them, standard deviations (N,
         n_y)."""
-        found = [v.full() for v in self._stages(self.x, nominal.T, self.p, self._begun.covariance)]
+        found = self._stages(self.x, nominal.T, self.p, self._begun.covariance)
         n, n_u, n_y, n_x = self.outputs.horizon, self._n_u, self._n_y, self.functions.sizes["n_d"]
         y, variance = found[0].T, found[1].T
         a, b = found[2].reshape(n_x, n, n_x), found[3].reshape(n_x, n, n_u)

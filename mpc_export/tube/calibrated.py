@@ -82,15 +82,15 @@ class Calibrated:
     ) -> None:
         """One sample: the filter's state before and after it, the command in force, what is
         measured and believed."""
-        under_way, clock, error, seen = self._forecast(
+        self._under_way, self._clock, error, seen = self._forecast(
             x, after, u, p, y, there, self._under_way, self._clock
         )
-        self._under_way, self._clock = under_way.full(), clock.full()
-        size, due = np.abs(error.full()), seen.full() != 0
+        size, due = np.abs(error), seen != 0
         self.stated = np.where(due, size <= self._half, np.nan)
         self.held = np.where(due, size <= self._half * np.exp(self._theta[:, self._late]), np.nan)
-        theta, scale = self._calibrate(self._theta, error, seen, self.own.sigma, LEVEL, GAIN)
-        self._theta, self.scale = theta.full(), scale.full()
+        self._theta, self.scale = self._calibrate(
+            self._theta, error, seen, self.own.sigma, LEVEL, GAIN
+        )
 
     def wider(self, ahead: FloatArray, planes: FloatArray) -> FloatArray:
         """(n, n_p + 1): factors of the planes (n, n_p, 4) and of the tilt, (n,) seconds after the

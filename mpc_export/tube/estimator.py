@@ -121,7 +121,7 @@ class Estimator:
         Everything that is finite is believed.
         """
         y, there = self._there(measured)
-        return self._step(estimate, u, self.p, y, there)[0].full().ravel(), bool(there.any())
+        return self._step(estimate, u, self.p, y, there)[0].ravel(), bool(there.any())
 
     def _there(self, measured: Mapping[str, float | None]) -> tuple[FloatArray, FloatArray]:
         """(Values, zero where there are none (n_y,); which innovations they give (n_e,))."""
@@ -184,12 +184,12 @@ class Estimator:
             after, learned, spread, e, y_hat = self._adapt(
                 known.x, u, p, y, there, known.unsure, self._memory
             )
-            theta, unsure = learned.full().ravel()[self._learned], spread.full()
-            steps = self.restless.sees(known.steps, np.where(there > 0.0, e.full().ravel(), 0.0))
+            theta, unsure = learned.ravel()[self._learned], spread
+            steps = self.restless.sees(known.steps, np.where(there > 0.0, e.ravel(), 0.0))
             unsure[self._pushes, self._pushes] += self.restless.more(steps) * self._walk
             if np.isfinite(theta).all() and np.isfinite(unsure).all():
                 known = Known(known.x, theta, unsure, steps)
-        return known._replace(x=after.full().ravel()), e.full().ravel(), y_hat.full().ravel()
+        return known._replace(x=after.ravel()), e.ravel(), y_hat.ravel()
 
     def _know(self, known: Known) -> None:
         self.x, self._unsure, self._steps = known.x, known.unsure, known.steps

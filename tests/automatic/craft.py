@@ -17,7 +17,7 @@ from greybox.excitation.hover import Hover
 from greybox.excitation.injection import rich_excitation
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.plants import effects as plant_effects
-from greybox.plants.flight_log import fly, member
+from greybox.plants.flight_log import fly
 from greybox.plants.presets import controller_for, nano
 from greybox.plants.quadrotor import Quadrotor
 from greybox.plants.vehicle_file import write_vehicle
@@ -47,34 +47,19 @@ def vehicle(**sigma: float) -> Vehicle:
         return read_vehicle(path)
 
 
-TOGETHER = (1, 2, 3, 4)
-"""Seeds that are flown side by side, which takes as long as one of them."""
-
-
 def flown(
     seeds: tuple[int, ...] = (1, 2), seconds: float = 8.0, damping: float = 0.0
 ) -> tuple[Mapping[str, np.ndarray], ...]:
     """All columns of flights at 100 Hz, one per seed."""
-    every = TOGETHER if set(seeds) <= set(TOGETHER) else seeds
-    log = _flown(every, seconds, damping)
-    return tuple(log[every.index(s)] for s in seeds)
+    return tuple(_flown(s, seconds, damping) for s in seeds)
 
 
 @functools.cache
-def _flown(
-    seeds: tuple[int, ...], seconds: float, damping: float
-) -> tuple[Mapping[str, np.ndarray], ...]:
+def _flown(seed: int, seconds: float, damping: float) -> Mapping[str, np.ndarray]:
     true = plant(damping)
-    log = fly(
-        true,
-        controller_for(true),
-        Hover(),
-        rich_excitation(),
-        seconds,
-        seed=list(seeds),
-        warm_up=0.5,
+    return fly(
+        true, controller_for(true), Hover(), rich_excitation(), seconds, seed=seed, warm_up=0.5
     )
-    return tuple(member(log, i) for i in range(len(seeds)))
 
 
 def flight(

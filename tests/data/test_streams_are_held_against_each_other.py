@@ -297,5 +297,5 @@ def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(
         tried.append(
             Tried(text=r.text, fix="", sums=sums, mixed=mixed(readings[0], r, at, 0.01, 0.0))
         )
-    assert tried[1].sums.total().share(np.eye(3)) > tried[0].sums.total().share(np.eye(3)) > 0.98
+    assert tried[1].sums.total.share(np.eye(3)) > tried[0].sums.total.share(np.eye(3)) > 0.98
     assert (better_reading(tried, ("ax", "ay", "az"), "") is not None) is told

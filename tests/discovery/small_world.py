@@ -21,8 +21,6 @@ from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.terms import Term
 from scenarios.studies import discovery_cells, discovery_grid
 
-TOGETHER = (1, 2, 3, 11, 21, 22)
-"""Seeds that are flown side by side, which takes as long as one of them."""
 SHORT = ("gyro_bias", "rotational_damping", "center_of_mass_offset", "parasitic_drag")
 DAMPING = RotationalDamping(d_p=4e-3, d_q=4e-3, d_r=4e-3)
 
@@ -70,16 +68,12 @@ def flown(
     seconds: float = 4.0,
 ) -> Dataset:
     """Flights with hidden effects."""
-    every = TOGETHER if set(seeds) <= set(TOGETHER) else seeds
-    logs = _logs(effects, every, seconds)
-    return discovery_cells.dataset([logs[every.index(s)] for s in seeds], name)
+    return discovery_cells.dataset([_log(effects, s, seconds) for s in seeds], name)
 
 
 @functools.cache
-def _logs(
-    effects: tuple[PlantEffect, ...], seeds: tuple[int, ...], seconds: float
-) -> list[dict[str, Any]]:
-    return discovery_cells.logs(plant(*effects), seeds, seconds)
+def _log(effects: tuple[PlantEffect, ...], seed: int, seconds: float) -> dict[str, Any]:
+    return discovery_cells.logs(plant(*effects), (seed,), seconds)[0]
 
 
 def damped() -> Flights:

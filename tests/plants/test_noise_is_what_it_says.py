@@ -9,7 +9,7 @@ import pytest
 from greybox.excitation import RandomWaypoints, rich_excitation
 from greybox.plants.airframe import Airframe, x_layout
 from greybox.plants.effects import BatterySag, CommandDelay, MotorLag, RotorDrag
-from greybox.plants.flight_log import fly, member
+from greybox.plants.flight_log import FEW, fly, member
 from greybox.plants.noise import ProcessNoise, SensorNoise
 from greybox.plants.presets import controller_for, nano
 from greybox.plants.quadrotor import Quadrotor
@@ -112,12 +112,29 @@ def test_the_same_seed_gives_the_same_flight_and_another_seed_another():
 
 
 def test_a_member_of_a_batch_flies_as_if_alone():
-    batch = closed_loop([4, 5, 9])
+    batch = closed_loop([4, 5, 9, *range(20, 20 + FEW)])
     for index, seed in enumerate((4, 5, 9)):
         alone, inside = closed_loop(seed), member(batch, index)
         assert list(alone) == list(inside)
         for name in alone:
             assert inside[name] == pytest.approx(alone[name], abs=1e-9), name
+
+
+def test_a_few_are_flown_one_by_one_and_come_as_a_batch():
+    few = closed_loop([4, 5])
+    for index, seed in enumerate((4, 5)):
+        alone, inside = closed_loop(seed), member(few, index)
+        assert list(alone) == list(inside) and few["t"].shape == alone["t"].shape
+        assert all(np.array_equal(alone[name], inside[name]) for name in alone)
+
+
+def test_what_differs_between_members_is_flown_as_a_batch():
+    noisy = SensorNoise(gyro=np.array([0.0, 0.2]))
+    plant = nano(EFFECTS, sensors=noisy)
+    assert not plant.alike and nano(EFFECTS).alike
+    flown = fly(plant, controller_for(plant), RandomWaypoints(), None, 0.3, seed=[4, 4])
+    assert flown["p"].shape == (30, 2)
+    assert np.ptp(flown["p"][:3, 0]) < 0.1 * np.ptp(flown["p"][:3, 1])
 
 
 def test_silencing_one_sensor_leaves_the_noise_of_the_others():

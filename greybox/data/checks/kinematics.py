@@ -257,7 +257,7 @@ def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dic
 
 
 def _share(sums: Moments) -> float:
-    return float(sums.total().share(np.eye(3))[0])
+    return float(sums.total.share(np.eye(3))[0])
 
 
 def _better(relation: Relation, found: Related) -> Better | None:

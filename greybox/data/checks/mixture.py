@@ -56,11 +56,15 @@ def mixture(
     """Sums of rows of y, x and the other reading's x, (N, 3) each; `starts` (B,) are the blocks'
     first rows."""
     d = other - x
+    xx, xd, dd = (products(a, b, starts) for a, b in ((x, x), (x, d), (d, d)))
+    return Mixture(xx=xx, xd=xd, dd=dd, xy=products(x, y, starts), dy=products(d, y, starts))
 
-    def sums(a: FloatArray, b: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(a[:, :, None] * b[:, None, :], starts, axis=0))
 
-    return Mixture(xx=sums(x, x), xd=sums(x, d), dd=sums(d, d), xy=sums(x, y), dy=sums(d, y))
+def products(a: FloatArray, b: FloatArray, starts: npt.NDArray[np.int64]) -> FloatArray:
+    """Sums of a b^T (B, 3, 3) over blocks of rows (N, 3) that begin at `starts` (B,)."""
+    # By columns: what is summed is in one piece, and three times as fast.
+    left, right = (np.ascontiguousarray(v.T) for v in (a, b))
+    return np.add.reduceat(left[:, None] * right[None], starts, axis=2).transpose(2, 0, 1)
 
 
 def joined(parts: Sequence[Mixture]) -> Mixture:

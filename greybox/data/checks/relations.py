@@ -11,6 +11,7 @@ Wahba's problem (SIAM Review 7(3), 1965), solved by singular values (Markley, J.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import itertools
 from collections.abc import Iterator, Sequence
@@ -19,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from greybox.data.checks.mixture import FLOOR, Mixture, mixture
+from greybox.data.checks.mixture import FLOOR, Mixture, mixture, products
 from greybox.data.checks.signals import FloatArray, IntArray, Integral
 from greybox.data.checks.spans import STARTS, Spans
 
@@ -84,6 +85,7 @@ class Moments:
         """Number of blocks."""
         return int(self.cross.shape[0])
 
+    @functools.cached_property
     def left_out(self) -> Moments:
         """The sums of all blocks but one, for each block."""
         return Moments(
@@ -93,6 +95,7 @@ class Moments:
             lag=self.lag,
         )
 
+    @functools.cached_property
     def total(self) -> Moments:
         """The sums over all blocks, as one block."""
         return Moments(
@@ -259,7 +262,7 @@ def _centre(reading: Reading, spans: Spans, dt: float) -> float:
         if which.size >= least:
             y, x = (
                 spans.without_bias(v, which)
-                for v in (reading.y[which], spans.among(reading.x, lag, which))
+                for v in (reading.y.take(which, axis=0), spans.among(reading.x, lag, which))
             )
             cross[i], size[i] = y.T @ x, np.sqrt((y**2).sum() * (x**2).sum())
     alike = np.linalg.svd(cross, compute_uv=False).sum(axis=1) / np.maximum(size, 1e-300)
@@ -289,7 +292,7 @@ def moments(
         lags.tolist()
     ):  # one at a time: all of them together are too much memory
         x = spans.without_bias(spans.among(reading.x, lag, which), which)
-        cross[i] = np.add.reduceat(y[:, :, None] * x[:, None, :], starts, axis=0)
+        cross[i] = products(y, x, starts)
         xx[i] = np.add.reduceat(x * x, starts, axis=0)
     size = np.sqrt(yy.sum(axis=1) * xx.sum(axis=2))
     alike = np.linalg.svd(cross, compute_uv=False).sum(axis=2) / np.maximum(size, 1e-300)
@@ -372,12 +375,12 @@ def far_better(
     def ahead(one: Moments, other: Moments) -> FloatArray:
         return one.correlation(turn, rows) - other.correlation(EYE, rows)
 
-    more, less = better.total(), given.total()
+    more, less = better.total, given.total
     share = float(more.share(turn, rows)[0]), float(less.share(EYE, rows)[0])
     ratio = float(left(more, less)[0])
     if share[0] < SEEN or ratio > np.log(LEFT):
         return None
-    parts = better.left_out(), given.left_out()
+    parts = better.left_out, given.left_out
     clear = ratio + CLEAR * jackknife(left(*parts)) < np.log(LEFT)
     return (
         share if clear or float(ahead(more, less)[0]) > APART * jackknife(ahead(*parts)) else None
@@ -403,7 +406,7 @@ def better_reading(
     that explain about the same the simplest is taken: another frame, then the fewest axes.
     """
     given = readings[0].sums
-    share = float(given.total().share(EYE)[0])
+    share = float(given.total.share(EYE)[0])
     every: tuple[int, ...] = (0, 1, 2)
     tried = [(r, EYE, every, 0) for r in readings[1:]]
     for text, matrix, rows in axis_readings():
@@ -412,7 +415,7 @@ def better_reading(
         )
     good = []
     for one, turn, rows, rank in tried:
-        whole = float(one.sums.total().share(turn)[0])
+        whole = float(one.sums.total.share(turn)[0])
         if far_better(one.sums, given, turn, rows) is not None or (
             whole > max(share, SEEN) and nearer(one.mixed)
         ):
@@ -430,12 +433,12 @@ def better_reading(
 def _turned(sums: Moments, names: tuple[str, str, str], fix: str) -> Better | None:
     """A rotation by an angle that is clear of what mounts and noise make; None where there is
     none."""
-    turn = sums.total().rotation()
-    more, less = (float(sums.total().share(m)[0]) for m in (turn, EYE))
+    turn = sums.total.rotation()
+    more, less = (float(sums.total.share(m)[0]) for m in (turn, EYE))
     if more < SEEN:
         return None
     vector = _vector(turn)
-    parts = sums.left_out()
+    parts = sums.left_out
     others = np.array(
         [
             _vector(
@@ -503,10 +506,10 @@ def factor(sums: Moments, axes: Sequence[int] = (0, 1, 2)) -> Factor | None:
             np.maximum(yy, 1e-300) / np.maximum(cross, 1e-300)
         )
 
-    first, second = (float(v[0]) for v in sizes(sums.total()))
+    first, second = (float(v[0]) for v in sizes(sums.total))
     if second - first > -np.log(SEEN):
         return None
-    errors = [jackknife(v) for v in sizes(sums.left_out())]
+    errors = [jackknife(v) for v in sizes(sums.left_out)]
     return Factor(
         value=float(np.exp(0.5 * (first + second))),
         low=float(np.exp(first - 3.0 * errors[0])),

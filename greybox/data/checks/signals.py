@@ -78,6 +78,8 @@ class Integral:
     def known(self, first: IntArray, last: IntArray) -> BoolArray:
         """Whether nothing is missing from each row to the other; they may lie outside."""
         inside = (first >= 0) & (last < self.lost.size)
+        if not self.lost[-1]:
+            return np.asarray(inside)
         before, after = (self.lost.take(r, mode="clip") for r in (first, last))
         return np.asarray(inside & (before == after))
 

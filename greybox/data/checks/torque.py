@@ -166,18 +166,16 @@ class Torque:
 
 
 def _solve(xx: FloatArray, xy: FloatArray, whole: FloatArray) -> FloatArray:
-    """Least squares (k, 3) from the sums of products x'x (k, k) and x'y (k, 3) after regression on
-    others; `whole` (k,) are the sums of squares before it. Columns of which nothing is left get no
-    gain, nor do directions that may be the rounding of what was subtracted."""
-    own = np.diag(xx)
+    """Least squares (L, k, 3) from L sums of products x'x (L, k, k) and x'y (L, k, 3) after
+    regression on others; `whole` (L, k) are the sums of squares before it. Columns of which nothing
+    is left get no gain, nor do directions that may be the rounding of what was subtracted."""
+    own = np.diagonal(xx, axis1=1, axis2=2)
     left = own > ROUNDED * whole
     scale = np.sqrt(np.where(left, own, np.inf))
-    taken = float((whole[left] / own[left]).max(initial=1.0))
-    return np.asarray(
-        np.linalg.pinv(xx / scale / scale[:, None], rcond=max(ROUNDED, EPS * taken), hermitian=True)
-        @ (xy / scale[:, None])
-        / scale[:, None]
-    )
+    taken = np.divide(whole, own, out=np.ones_like(own), where=left).max(axis=1, initial=1.0)
+    alike = xx / scale[:, None, :] / scale[:, :, None]
+    inverse = np.linalg.pinv(alike, rcond=np.maximum(ROUNDED, EPS * taken), hermitian=True)
+    return np.asarray(inverse @ (xy / scale[:, :, None]) / scale[:, :, None])
 
 
 _KNOWN: weakref.WeakKeyDictionary[View, Torque | None] = weakref.WeakKeyDictionary()
@@ -258,16 +256,15 @@ def _at_lags(
     """(share (L, 3) of a sum of squares `total` (3,) that u (N, n), late by each lag, explains of
     what the `basis` of everything else leaves (M, 3) in these rows, its gains (L, 3, n))."""
     n = u.shape[1]
-    shares, gains = np.zeros((len(lags), 3)), np.zeros((len(lags), 3, n))
+    xx, xy, own = (np.zeros((len(lags), *s)) for s in ((n, n), (n, 3), (n,)))
     level = u[rows].mean(axis=0)  # a constant is among the others; small numbers square exactly
     for i, lag in enumerate(lags):
-        x = u[rows - lag] - level
+        x = u.take(rows - lag, axis=0) - level
         told, whole = basis.T @ x, x.T @ x
-        xx, xy = whole - told.T @ told, x.T @ rest
-        b = _solve(xx, xy, np.diag(whole))
-        shares[i] = (b * (2.0 * xy - xx @ b)).sum(axis=0) / np.maximum(total, 1e-300)
-        gains[i] = b.T
-    return shares, gains
+        xx[i], xy[i], own[i] = whole - told.T @ told, x.T @ rest, np.diag(whole)
+    b = _solve(xx, xy, own)  # all at once: one of them is as small as a call
+    shares = (b * (2.0 * xy - xx @ b)).sum(axis=1) / np.maximum(total, 1e-300)
+    return shares, b.swapaxes(1, 2)
 
 
 def _lag_error(

@@ -58,7 +58,11 @@ class View:
     def possible(self) -> RawLog:
         """The log without the repeats of slow streams and the samples that no craft can have made,
         as every command reads it."""
-        return without_impossible(without_repeats(self.raw), self.vehicle)
+        return without_impossible(self._once, self.vehicle)
+
+    @functools.cached_property
+    def _once(self) -> RawLog:
+        return without_repeats(self.raw)
 
     @functools.cached_property
     def increasing(self) -> RawLog:
@@ -68,6 +72,8 @@ class View:
     @functools.cached_property
     def as_logged(self) -> RawLog:
         """The same with what slow streams repeat."""
+        if self._once is self.raw:  # nothing repeats
+            return self.increasing
         return _increasing(without_impossible(self.raw, self.vehicle))
 
     @functools.cached_property

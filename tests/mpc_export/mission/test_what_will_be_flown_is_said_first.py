@@ -1,10 +1,12 @@
 """Before the first flight it is said how many there will be and what for, and the time that is left
 is that of all of them."""
 
+import time
 from types import SimpleNamespace
 
 import pytest
 
+from greybox.progress import in_words
 from mpc_export.mission import campaign
 from mpc_export.mission.campaign import Entry, flights
 from mpc_export.mission.prepare import (
@@ -35,18 +37,34 @@ def test_the_controllers_that_are_counted_are_those_that_fly():
 
 
 @pytest.mark.parametrize("later", [0, 36])
-def test_the_time_left_counts_what_is_flown_later(later, tmp_path, monkeypatch):
-    shares = []
-
-    class Left:
-        def after(self, share):
-            shares.append(share)
-            return ""
-
-    row = {"controller": "mean", "crashed": False, "margins": {}, "seconds": 1.0}
-    monkeypatch.setattr(campaign, "TimeLeft", Left)
-    monkeypatch.setattr(campaign, "_run", lambda *_: ({**row, "seed": s} for s in range(4)))
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_time_left_counts_what_is_flown_later(jobs, later, tmp_path, monkeypatch):
+    row = {"controller": "mean", "crashed": False, "margins": {"a": 0.001}, "seconds": 1.0}
+    took = (60.0, 180.0, 120.0, 120.0)
+    rows = [({**row, "seed": s}, seconds) for s, seconds in enumerate(took)]
+    monkeypatch.setattr(campaign, "_run", lambda *_: iter(rows))
     hangar = SimpleNamespace(campaign=SimpleNamespace(out=tmp_path, key=lambda _: "k"))
     entries = [Entry(name="mean", text="", model="")]
-    flights(hangar, entries, range(4), later=later, say=lambda _: None)
-    assert shares == pytest.approx([n / (4 + later) for n in (1, 2, 3, 4)])
+    said = []
+    flights(hangar, entries, range(4), jobs=jobs, later=later, say=said.append)
+    means = (60.0, 120.0, 120.0, 120.0)
+    seconds = [m * (4 + later - n) / jobs for n, m in enumerate(means, 1)]
+    expected = [f"1 mm from the nearest limit, {in_words(s)}" for s in seconds if s]
+    assert [line.partition(": mean, flight ")[2][3:] for line in said[: len(expected)]] == expected
+    assert len(said) == 4 and ("left" in said[-1]) == bool(later)
+
+
+def test_a_controller_that_is_compiled_first_is_no_part_of_a_flight():
+    clock = []
+
+    class Slow:
+        def pilot(self, entry):
+            time.sleep(0.2)
+            clock.append(time.monotonic())
+
+        def fly(self, entry, seed, **_):
+            self.pilot(entry) if not clock else None
+            return {"seed": seed}
+
+    row, seconds = campaign._flown(Entry(name="mean", text=""), 3, None, False, Slow())
+    assert row == {"seed": 3} and clock and seconds < 0.1
