@@ -28,6 +28,7 @@ from greybox.commands.judgement import (
     accept_option,
     adapt_option,
     admitted,
+    begun_with,
     demand_adapt,
     log_faults,
     source_option,
@@ -260,7 +261,9 @@ def run(arguments: argparse.Namespace) -> int:
         return go_on(arguments)
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
-    since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
+    since = None
+    if arguments.since is not None:
+        since = begun_with(IdentifiedModel.load(arguments.since, effects=own), arguments)
     subject = _subject(arguments, since)
     faults = (
         CheckReport(vehicle=subject.name, flights=(), findings=(), not_judged=())

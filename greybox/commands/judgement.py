@@ -7,7 +7,7 @@ import enum
 import math
 import shlex
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from greybox.commands.command_line import Options
@@ -16,6 +16,7 @@ from greybox.commands.console import Console
 if TYPE_CHECKING:
     from greybox.data.checks import CheckReport
     from greybox.files import Parsed
+    from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import Vehicle
     from greybox.model.verdict import Verdict
     from greybox.validation.options import HorizonChoices
@@ -208,6 +209,11 @@ def admitted(arguments: argparse.Namespace, path: str | None) -> bool:
     found = gate(read_json(path), path, even_so=arguments.even_so, use=Use.BUILDS)
     found.say(arguments.command)
     return found.open
+
+
+def begun_with(model: IdentifiedModel, arguments: argparse.Namespace) -> IdentifiedModel:
+    """The model of an `admitted` file; without its verdict where --even-so overruled that."""
+    return replace(model, verdict=None) if arguments.even_so else model
 
 
 def gate(content: Parsed, path: str, *, even_so: bool, use: Use = Use.FLIES) -> Gate:

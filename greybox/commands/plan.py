@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 from greybox.commands.command_line import Subcommands, effects_file_option, typed
 from greybox.commands.console import Console, json_option
-from greybox.commands.judgement import admitted, source_option
+from greybox.commands.judgement import admitted, begun_with, source_option
 from greybox.commands.model_options import names, noise_levels, numbers, values
 from greybox.commands.own_model import loaded, model_file_option, range_options
 
@@ -247,7 +247,9 @@ def _subject(
     from greybox.model.vehicle import read_vehicle
     from greybox.residual.files import load_model
 
-    model = load_model(arguments.model, effects=own) if arguments.model else None
+    model = None
+    if arguments.model:
+        model = begun_with(load_model(arguments.model, effects=own), arguments)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     if model is not None:
         if physics_of(model.dynamics) is None:
@@ -293,7 +295,7 @@ def _own_model(arguments: argparse.Namespace) -> IdentifiedModel | StateSpaceMod
     from greybox.model.own_model import load_own_model
 
     if arguments.model:
-        fitted = loaded(arguments)
+        fitted = begun_with(loaded(arguments), arguments)
         return fitted if isinstance(fitted.core, StateSpaceModel) else None
     return load_own_model(arguments.model_file) if arguments.model_file else None
 

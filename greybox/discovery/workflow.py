@@ -56,7 +56,7 @@ from greybox.model.known import NOTHING, since
 from greybox.model.layer import physics_of
 from greybox.model.noise_free import as_measured
 from greybox.model.vehicle import Vehicle
-from greybox.model.verdict import STOPPED
+from greybox.model.verdict import STOPPED, demand_finished
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.statistics.betting import bar_of_several
@@ -113,6 +113,8 @@ def discover(
     """
     began = time.perf_counter()
     options, doubts = DiscoverOptions.of(options, choices), list[str]()
+    if options.since is not None:
+        demand_finished(options.since.verdict, options.since.name)
     train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     if tested is not None:

@@ -22,6 +22,7 @@ from greybox.files import Json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.parameter import Parameter
+from greybox.model.verdict import demand_finished
 from greybox.planning.information import Score, choose, efficiency, errors, information
 from greybox.planning.options import left_over, whole_pieces
 from greybox.planning.planning_case import precision_of
@@ -223,6 +224,8 @@ def _subject(
     sample_time: float | None,
 ) -> OwnSubject:
     fitted = model if isinstance(model, IdentifiedModel) else None
+    if fitted is not None:
+        demand_finished(fitted.verdict, fitted.name)
     core = fitted.core if fitted is not None else model
     if not isinstance(core, StateSpaceModel):
         raise ModelError(

@@ -15,6 +15,7 @@ from greybox.estimation.identifiability import marginal_information, unidentifie
 from greybox.estimation.options import says_choices
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
+from greybox.model.verdict import demand_finished
 from greybox.planning.excitation_blocks import Flown, excitation_blocks, fit_in, sequence
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
@@ -52,9 +53,12 @@ def plan(
     for model, values, noise levels and sensors. `limits` default to a box of 4 x 4 x 2.5 m, 3 m/s,
     35 degrees and the command range less 2 % at both ends. `setpoints_only` leaves out manoeuvres
     that need injected signals. `say` hears of progress. Raises `GreyboxError` (limits without room,
-    nothing to estimate), `FitError` (nothing that can be flown), `UnknownNameError`, `ModelError`.
+    nothing to estimate), `FitError` (nothing that can be flown), `UnknownNameError`, `ModelError` (a
+    `model` that was not finished, too).
     """
     o = PlanOptions.of(options, choices)
+    if model is not None:
+        demand_finished(model.verdict, model.name)
     count = _pieces(o)
     short = left_over(o.seconds, o.piece)
     for text in short:

@@ -150,11 +150,20 @@ def test_what_is_not_finished_is_no_beginning(
         assert f"warning: {path}: {said.line}" in capsys.readouterr().err
 
 
-def test_python_learns_from_no_unfinished_model_either() -> None:
-    model = cases.physics()
+PYTHON = {
+    "learn": lambda model, flight: gb.learn(model, flight),
+    "fit": lambda model, flight: gb.fit(model.physics.vehicle, flight, source=model),
+    "discover": lambda model, flight: gb.discover(model.physics.vehicle, flight, since=model),
+    "plan": lambda model, _flight: gb.plan(model=model, seconds=5.0),
+}
+
+
+@pytest.mark.parametrize("name", PYTHON)
+def test_python_begins_with_no_unfinished_model_either(name: str) -> None:
+    model = replace(cases.physics(), verdict=UNFINISHED)
     flight = gb.dataset_from_arrays(np.arange(3) / 100, {"u1": np.zeros(3)})
     with pytest.raises(ModelError, match="UNFINISHED"):
-        gb.learn(replace(model, verdict=UNFINISHED), flight)
+        PYTHON[name](model, flight)
 
 
 UNSETTLED = "not converged: iteration limit reached"
