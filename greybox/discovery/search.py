@@ -313,6 +313,8 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     rows = [i for i, u in enumerate(at.space.unknowns) if u.name in cause.parameters]
     if not rows or at.value.hessian is None:
         return 0.0 if rows else np.inf
+    if cause.kind == "sensor noise" and (at.theta[rows] >= at.space.upper[rows]).all():
+        return -np.inf  # it lasts longer than flights tell
     live = [i for i in rows if not at.held[i]]
     if not live:
         return np.inf
