@@ -1,9 +1,8 @@
 """Search: from the base structure by the move that gains most evidence, until none gains any.
 
-Moves are add, add together, drop, and, where none of these gains, the first swap that does. Every
-structure has a prior: a cause that is not in the base costs the logarithm of how many were offered,
-so that many candidates make no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is
-tried is heuristic; what is taken is the evidence.
+Moves are add, add together, drop, and, where none of these gains, the first swap that does. A cause
+that is not in the base costs the logarithm of how many were offered, so that many candidates make
+no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is tried is heuristic.
 """
 
 from __future__ import annotations
@@ -54,8 +53,7 @@ class Search:
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
     lost: dict[tuple[Structure, Structure], bool] = field(default_factory=dict)
-    """Whether what was (added, dropped) lost when last asked: what did waits until nothing else
-    gains, what did not, if it gained less than another move, is asked again at the next step."""
+    """Whether what was (added, dropped) lost when last asked: what did waits until nothing gains."""
 
     @property
     def price(self) -> float:

@@ -1,7 +1,4 @@
-"""discover: the whole loop, from a model and flights to certified names, or an honest no.
-
-faults -> search by evidence -> certificates and worth -> what is left -> gap before and after.
-"""
+"""discover: from a model and flights to certified names, or an honest no."""
 
 from __future__ import annotations
 
@@ -72,6 +69,7 @@ from greybox.validation.gap import (
     worsened,
 )
 from greybox.validation.sanity import denied
+from greybox.validation.then import Then
 from greybox.validation.validate import verdict_on
 from greybox.validation.worth import worth
 
@@ -223,6 +221,9 @@ class _Run:
     warnings: list[str] = field(default_factory=list)
     needed: float = np.inf
     """Log e-value that each of the names found needs, see `bar_of_several`."""
+    unchanged: str = ""
+    last: Fitted | None = None
+    """Where nothing has changed: what is said, and what flights are likelier with."""
     _held_out: dict[Fitted, HeldOutErrors | None] = field(default_factory=dict)
     _settled: dict[Fitted, Fit] = field(default_factory=dict)
 
@@ -279,12 +280,17 @@ class _Run:
             base=tuple(n for n in sorted(BASE) if n in found.model.effects),
             lawful=lawful,
             denied=denied(self.settled(left.written or at), causes.core),
+            unchanged=self.unchanged,
         )
 
     def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
         more: Fitted | None = search.run(null)
+        new, added = self.held_out(more), search.added(more)
+        if self.then and (said := self.then.unchanged(new, added, RULES.span)):
+            self.unchanged, self.last, self.needed = said, more, self.bar
+            return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
         while more is not None:
             at, said, offered = more, self.warnings.copy(), self.flights.causes
             names, named = self._named(at, search.contest(at))
@@ -348,6 +354,11 @@ class _Run:
             with contextlib.suppress(GreyboxError):
                 self._held_out[at] = self._ahead(self.settled(at).model)
         return self._held_out[at]
+
+    @functools.cached_property
+    def then(self) -> Then | None:
+        """The model from which on changes are sought, on the flights that judge."""
+        return Then.on(self.options.since, self.judges, self.options.adapt or 0.0)
 
     def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
         return predict_ahead(model, self.judges, adapt=self.options.adapt or 0.0, unnamed=unnamed)
@@ -445,7 +456,8 @@ class _Run:
                 "halves: e-values are then too large by what choosing gains",
                 "the gap is judged on the training flights: give --test flights",
             ]
-        before, after = self.held_out(null), self.held_out(at)
+        before = self.then.errors if self.then else self.held_out(null)
+        after = self.held_out(self.last or at)
         if before is None or after is None:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
             return []
