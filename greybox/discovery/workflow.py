@@ -255,7 +255,7 @@ class _Run:
         lawful = None
         if left.written is not None:
             lawful = left.lawful(self._judged(self.settled(left.written)))
-        rows = self._gap(null, at, left.written)
+        rows = self._gap(null, self.last or at, left.written)
         scores = search.scores
         taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
         share = 0.5 if self.test is None else judging / max(taught, 1)
@@ -457,7 +457,7 @@ class _Run:
                 "the gap is judged on the training flights: give --test flights",
             ]
         before = self.then.errors if self.then else self.held_out(null)
-        after = self.held_out(self.last or at)
+        after = self.held_out(at)
         if before is None or after is None:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
             return []
@@ -479,7 +479,7 @@ class _Run:
             filtered=filtered,
             seed=self.options.seed,
         )
-        self.warnings += worsened(rows)
+        self.warnings += [] if self.last else worsened(rows)
         return rows
 
     def _learned(self, null: Fitted) -> Squares | None:

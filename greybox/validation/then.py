@@ -1,15 +1,15 @@
 """Then: whether a model that was identified before still foretells flights of now.
 
 What has changed shows in that. Flights ask by their likelihood for more than has changed: for what
-the model lacked from the start, as it was fitted by its errors ahead or a second search had more to
-go on. A model with all that is held against the one of then by what both foretell: where it
-foretells clearly worse, nothing in it is a change.
+the model lacked from the start, as it was fitted by its errors ahead, or other manoeuvres show it.
+So a model with all that is held against the one of then by what both foretell, and where it does
+not foretell clearly better nothing in it is a change.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -21,7 +21,7 @@ from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
 from greybox.validation.gap import HeldOutErrors, predict_ahead
 from greybox.validation.validate import verdict_on
-from greybox.validation.worth import Span, worth
+from greybox.validation.worth import Span, clearly, seconds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,16 +44,17 @@ class Then:
             return cls(model=model, judges=judges, adapt=adapt, errors=errors)
         return None
 
-    def unchanged(self, new: HeldOutErrors | None, added: Iterable[str], span: Span) -> str:
-        """In words, that a model with what is `added`, whose errors are `new`, foretells clearly
-        worse within `span`; empty where it does not."""
-        if new is None or not added or not worth(self.errors, new, span).harms:
+    def unchanged(self, new: HeldOutErrors | None, added: Sequence[str], span: Span) -> str:
+        """In words, that a model with what is `added`, whose errors are `new`, does not foretell
+        clearly better within `span`; empty where it does, or nobody knows."""
+        changes = np.zeros(0) if new is None else seconds(self.errors, new, span)
+        if not added or changes.size < 2 or clearly(changes):
             return ""
         now, was = verdict_on(self.model, self.judges, self.adapt), self.model.verdict
         lost = now is not None and now.refused and not (was and was.refused)
         first = "CHANGED, BY NOTHING ON OFFER" if lost else "NOTHING HAS CHANGED that is felt"
-        seen = f" ({now.line})" if now else ""
+        seen = f": the model of --from is {now.line} there" if now else ""
         return (
-            f"{first}: the model of --from{seen} foretells better than one with what makes flights "
-            f"likelier, {', '.join(added)} (lacking from the start, or worth nothing)"
+            f"{first}{seen}. What makes flights likelier does not foretell better: {', '.join(added)} (missing "
+            "from the start, or worth nothing)"
         )
