@@ -20,9 +20,8 @@ regret, counts as nothing where it cannot decide. For a vehicle the bound holds 
 approximation and the invariance do. Without D2 flights are halved: the mean of both ways is one.
 
 The sharper one on all flights, against the prior, is a second e-value. No flight refutes a rival
-with more causes or numbers than the name, nearly the name at its worst: there is no regret against
-it, as the Bayes factor is an e-value at the sizes that its prior expects (Gruenwald, de Heide and
-Koolen 2024, JRSS B 86(5)).
+with more causes or numbers, nearly the name at its worst: no regret there, as the Bayes factor is
+an e-value at sizes that its prior expects (Gruenwald, de Heide and Koolen 2024, JRSS B 86(5)).
 """
 
 from __future__ import annotations

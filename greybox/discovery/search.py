@@ -53,7 +53,7 @@ class Search:
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
     lost: dict[tuple[Structure, Structure], bool] = field(default_factory=dict)
-    """Whether what was (added, dropped) lost when last asked: what did waits until nothing gains."""
+    """Whether what was (added, dropped) lost when last asked: that waits until nothing gains."""
 
     @property
     def price(self) -> float:

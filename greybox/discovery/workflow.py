@@ -286,11 +286,12 @@ class _Run:
     def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
-        more: Fitted | None = search.run(null)
-        new, added = self.held_out(more), search.added(more)
-        if self.then and (said := self.then.unchanged(new, added, RULES.span)):
-            self.unchanged, self.last, self.needed = said, more, self.bar
+        last = search.run(null)
+        then, added = self.then, search.added(last)
+        if then and (line := then.unchanged(self.held_out(last), added, RULES.span)):
+            self.unchanged, self.last, self.needed = line, last, self.bar
             return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
+        more: Fitted | None = last
         while more is not None:
             at, said, offered = more, self.warnings.copy(), self.flights.causes
             names, named = self._named(at, search.contest(at))

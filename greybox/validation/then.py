@@ -55,6 +55,6 @@ class Then:
         first = "CHANGED, BY NOTHING ON OFFER" if lost else "NOTHING HAS CHANGED that is felt"
         seen = f": the model of --from is {now.line} there" if now else ""
         return (
-            f"{first}{seen}. What makes flights likelier does not foretell better: {', '.join(added)} (missing "
-            "from the start, or worth nothing)"
+            f"{first}{seen}. What makes flights likelier does not foretell better: "
+            f"{', '.join(added)} (missing from the start, or worth nothing)"
         )
