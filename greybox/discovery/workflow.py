@@ -287,8 +287,8 @@ class _Run:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
         last = search.run(null)
-        then, added = self.then, search.added(last)
-        if then and (line := then.unchanged(self.held_out(last), added, RULES.span)):
+        then = self.then
+        if then and (line := then.unchanged(self.held_out(last), search.added(last), RULES.span)):
             self.unchanged, self.last, self.needed = line, last, self.bar
             return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
         more: Fitted | None = last
