@@ -43,12 +43,13 @@ class Rival:
 
 @dataclass(kw_only=True, eq=False)
 class Search:
-    """The search on one set of `flights`. `interim` gets every structure that is taken."""
+    """The search on `flights`. `interim` gets what is taken; what is `hopeless` swaps nothing."""
 
     flights: Flights
     most: int
     say: Callable[[str, float], None]
     interim: Callable[[Fitted], None] = lambda _fit: None
+    hopeless: Callable[[Fitted], bool] = lambda _fit: False
     steps: list[StepRow] = field(default_factory=list)
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
@@ -86,15 +87,15 @@ class Search:
             if better is not None:
                 better = self._leaner(better) or better
             else:
-                better = self._leaner(at, last=True) or self._swap(at)
+                better = self._leaner(at, last=True)
+                better = better or (None if self.hopeless(at) else self._swap(at))
             if better is None:
                 return at
             at = better
         return at
 
     def every(self, at: Fitted) -> Fitted | None:
-        """The structure with one more cause, where each is fitted: far from none a cause may gain
-        what the slope there does not promise."""
+        """The structure with one more cause, each fitted: the slope at none may not promise it."""
         absent = set(self.flights.causes.effects) - at.structure
         wanted = [at.structure | {n} for n in sorted(absent) if len(self.added(at)) < self.most]
         moves: list[Move] = [(s, [at.known]) for s in wanted if self._new(at, s, True)]
@@ -215,8 +216,7 @@ class Search:
         return drop_gain(at, self.flights, name) > -3 * self.price
 
     def _swap(self, at: Fitted) -> Fitted | None:
-        """The structure with another cause in the place of one, where that is likelier: what is
-        predicted to lose least is asked first, then twice as many, until one gains."""
+        """The structure with another cause in the place of one, where that is likelier."""
         cost = {n: -drop_gain(at, self.flights, n) for n in self.added(at)}
         taken = {n: max((r[0] for r in self._scored(at).instead(n)), default=0.0) for n in cost}
         order = sorted(cost, key=lambda n: min(cost[n], (1.0 - taken[n]) * max(cost[n], 0.0)))
@@ -268,8 +268,7 @@ class Search:
 
     def _fits(self, at: Fitted, moves: list[Move], others: Sequence[Fitted] = ()) -> list[Fitted]:
         """Fits of moves from `at`, held against the likeliest of `others`. What adds and gains
-        nothing, and what drops and falls far behind, waits from then on: it rarely gains while
-        something else does, and the search still ends only where no move gains."""
+        nothing, and what drops and falls far behind, waits until nothing else gains."""
         fits = self.flights.contest(moves, max((at, *others), key=lambda f: f.log_evidence))
         for f in fits:
             move = _change(at, f.structure)

@@ -243,6 +243,7 @@ class _Run:
             most=self.options.max_effects,
             say=self.say,
             interim=lambda at: self._keep(search, at, None),
+            hopeless=lambda at: bool(self.then and self.then.beats(self.held_out(at), RULES.span)),
         )
         null = self.flights.fit(causes.base)
         names, at, left = self._answer(search, null)

@@ -44,6 +44,10 @@ class Then:
             return cls(model=model, judges=judges, adapt=adapt, errors=errors)
         return None
 
+    def beats(self, new: HeldOutErrors | None, span: Span) -> bool:
+        """Whether it foretells clearly better within `span` than a model whose errors are `new`."""
+        return new is not None and clearly(-seconds(self.errors, new, span))
+
     def unchanged(self, new: HeldOutErrors | None, added: Sequence[str], span: Span) -> str:
         """In words, that a model with what is `added`, whose errors are `new`, does not foretell
         clearly better within `span`; empty where it does, or nobody knows."""

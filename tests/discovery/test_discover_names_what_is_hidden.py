@@ -17,6 +17,7 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.further import further
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT, Effort
+from greybox.discovery.search import Search
 from greybox.discovery.workflow import discover
 from greybox.errors import DataError, GreyboxError
 from greybox.estimation.fit import fit
@@ -180,12 +181,14 @@ def test_a_load_is_told_from_rotors_that_are_weaker_by_as_much():
         assert now / was == pytest.approx(0.87, abs=0.01)
 
 
-def test_what_is_no_change_is_said_first_and_gets_no_certificate(
+def test_what_is_no_change_is_said_first_and_costs_no_swap_and_no_certificate(
     short: None, monkeypatch: pytest.MonkeyPatch
 ):
     then = fit(build_model(vehicle(), small_world.flown().channels), small_world.flown()).model
     monkeypatch.setattr(Then, "unchanged", lambda _then, _new, added, _span: f"AS THEN: {added}")
     monkeypatch.setattr(greybox.discovery.workflow, "certificates", None)
+    monkeypatch.setattr(Then, "beats", lambda *_: True)
+    monkeypatch.setattr(Search, "_swap", None)
     train, test = small_world.flown(DAMPING), small_world.flown(DAMPING, seeds=(11,), name="test")
     found = discover(vehicle(), train, test, since=then)
     assert valid(found)["line"] == found.line == "AS THEN: ['rotational_damping']"

@@ -43,6 +43,9 @@ def test_a_model_with_more_that_foretells_worse_names_no_change(then):
     assert said.startswith("NOTHING HAS CHANGED that is felt")
     assert FINE.line in said
     assert ", ".join(ADDED) in said
+    assert then.beats(errors(2.0), SPAN)
+    assert not then.beats(errors(1.0), SPAN)
+    assert not then.beats(None, SPAN)
 
 
 def test_one_that_foretells_better_may(then):
