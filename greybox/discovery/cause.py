@@ -1,8 +1,7 @@
 """Cause: one thing that a model may miss, and how large it typically is.
 
-An effect of the catalogue or of the user's file, a law that was read out of the discrepancy, and a
-part of the sensors' noise are the same to the search: each has parameters with a value at which it
-is absent and a prior about it, so that the evidence for any set of them is defined.
+An effect of the catalogue or of the user's file, a law, and a part of the sensors' noise are the
+same to the search: each has parameters with a value at which it is absent and a prior about it.
 """
 
 from __future__ import annotations

@@ -7,24 +7,21 @@ For a structure S with the cause c and a rival R without it, and flights D1 and 
 If R is the truth, P(E >= 1/a) <= a in finite samples, whatever the number of parameters, at bounds,
 with thresholds and delays (Wasserman, Ramdas and Balakrishnan 2020, PNAS 117(29): universal
 inference). The numerator is evidence of D1 and D2 together less that of D1. Some forty unknowns
-that S and R share are then fitted to D2 in the denominator alone. The e-value of a name is
-therefore the mean of this one and of the sharper
+that S and R share are fitted to D2 in the denominator alone. So the e-value of a name, against its
+strongest rival, is the mean of this one and of the sharper
 
     E = p(D2 | S, D1) / p(D2 | R, D1) / regret,
 
 in which both sides integrate what they share over what D1 taught, as group invariance allows
 (Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has
-in the place of c is taken at its worst: `regret` is the supremum over D2 against the integral.
-Against a rival with nothing in the place of c the sharper one counts alone; else the first, which
-is at most that without its regret, counts as nothing where it cannot decide. Laplace's
-approximation and the invariance are those of a linear model, so that for a vehicle the bound holds
-as well as these do. The e-value of a name is that against its strongest rival. Without D2 flights
-are halved, and the mean of both ways is an e-value, too.
+in the place of c is at its worst: `regret` is the supremum over D2 against the integral. Against a
+rival with nothing there the sharper one counts alone; else the first, at most that without its
+regret, counts as nothing where it cannot decide. For a vehicle the bound holds as well as Laplace's
+approximation and the invariance do. Without D2 flights are halved: the mean of both ways is one.
 
-The sharper one on all flights, against the prior, is a second e-value. A rival with more causes or
-numbers than the name is nearly the name at its worst, which no flight refutes. Against it there is
-no regret: the Bayes factor is an e-value at the sizes that its prior expects (Gruenwald, de Heide
-and Koolen 2024, JRSS B 86(5)).
+The sharper one on all flights, against the prior, is a second e-value. No flight refutes a rival
+with more causes or numbers, nearly the name at its worst: no regret there, as the Bayes factor is
+an e-value at sizes that its prior expects (Gruenwald, de Heide and Koolen 2024, JRSS B 86(5)).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Evidence: how likely flights are under a structure, its parameters integrated over their priors.
-
-Laplace's approximation (greybox/estimation/laplace.py). Parameters of a cause have the prior that
-it declares, core parameters that of the vehicle file, starts of flights that of first readings.
+"""Evidence: how likely flights are under a structure, its parameters integrated over their priors
+(greybox/estimation/laplace.py). Parameters of a cause have the prior that it declares, core
+parameters that of the vehicle file, starts of flights that of first readings.
 """
 
 from __future__ import annotations
@@ -103,8 +102,8 @@ class Fitted:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One fit in plain values: a structure, unknowns to start from, of which the likeliest is taken
-    (none: noise levels from the data), and where the solver stops."""
+    """One fit: a structure, starts, of which the likeliest is taken (none: noise levels from the
+    data), and where the solver stops."""
 
     structure: Structure
     starts: tuple[Start, ...]

@@ -1,14 +1,9 @@
 """Further: more flights multiply the evidence of names that were found before.
 
 New flights D judge the structure S that a search ended with against R without a name, and against
-that name's strongest rival in its place:
-
-    E = p(D | S, what was known) / p(D | R, what was known) / regret.
-
-Without the name what was known is the posterior of S given that the name is nothing: of a linear
-model what R would have learned. Both sides integrate what they share, and only what a rival has in
-the place of the name is at its worst, as in `greybox.discovery.certificate`. The product of such
-e-values is one (Grunwald, de Heide and Koolen 2024, JRSS B 86(5)).
+that name's strongest rival: E = p(D | S, what was known) / p(D | R, what was known) / regret, of R
+the posterior of S given that the name is nothing: of a linear model what R would have learned. Both
+integrate what they share. The product of such e-values is one (Grunwald, de Heide and Koolen 2024).
 """
 
 from __future__ import annotations

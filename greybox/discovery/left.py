@@ -1,9 +1,8 @@
 """Left: what the unnamed force and torque still hold, and whether it can be written down.
 
-Every structure carries force and torque as Gauss-Markov states. An axis whose state the flights
-need next to all names holds something: how large it is, how long it lasts and, where terms of a
-small library (greybox.residual.laws.terms) explain it on flights that were left out, the law. A law
-is an effect file and enters the race as any other cause: it stays where the evidence says so.
+An axis of the Gauss-Markov states whose state the flights need next to all names holds something:
+how large, how long it lasts and, where terms of a small library (greybox.residual.laws.terms)
+explain it on flights that were left out, the law: an effect file, in the race as any other cause.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """Propose: what the flights would gain in evidence by every absent cause, to second order.
 
-One run of the filter per parameter (`greybox.estimation.differences`) gives the score s and the
-information V of all absent causes at the fit of a structure, with everything that is free projected
-out (Rao 1948). With a Gaussian prior of precision L about absence,
-
-    estimate = -(V + L)^-1 s,   gain = s' (V + L)^-1 s / 2 - log det(I + V L^-1) / 2,
-
-which is the whole truth for a linear model. A proposal decides nothing.
+One run of the filter per parameter gives the score s and the information V of all absent causes at
+the fit of a structure, with everything that is free projected out (Rao 1948). With a Gaussian prior
+of precision L about absence, the estimate is -(V + L)^-1 s, the gain s' (V + L)^-1 s / 2
+- log det(I + V L^-1) / 2: the whole truth for a linear model. A proposal decides nothing.
 """
 
 from __future__ import annotations

@@ -42,8 +42,8 @@ class Discovery(Shown):
     """What was found. `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
     final structure, `left` what its unnamed force and torque hold. `bar` is the log e-value that a
     name needs, `denied` which stated numbers the flights deny, `so_far` what a stopped search
-    knows. `lawful` is the model with laws (the one to go on with; None without), `proposals()` the
-    laws as files by name."""
+    knows, `unchanged` what is said where nothing has changed since a model. `lawful` is the model
+    with laws (the one to go on with; None without), `proposals()` the laws as files by name."""
 
     verdict: str
     names: tuple[Name, ...] = ()
@@ -69,6 +69,7 @@ class Discovery(Shown):
     lawful: IdentifiedModel | None = None
     denied: tuple[str, ...] = ()
     so_far: str = ""
+    unchanged: str = ""
 
     @property
     def model(self) -> IdentifiedModel:
@@ -228,7 +229,7 @@ class Discovery(Shown):
     @property
     def line(self) -> str:
         """What a pilot wants to know, in one line."""
-        return first_line(self)
+        return self.unchanged or first_line(self)
 
     def summary(self) -> str:
         """The verdict in words, most important first."""

@@ -1,9 +1,8 @@
 """Search: from the base structure by the move that gains most evidence, until none gains any.
 
-Moves are add, add together, drop, and, where none of these gains, the first swap that does. Every
-structure has a prior: a cause that is not in the base costs the logarithm of how many were offered,
-so that many candidates make no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is
-tried is heuristic; what is taken is the evidence.
+Moves are add, add together, drop, and, where none of these gains, the first swap that does. A cause
+that is not in the base costs the logarithm of how many were offered, so that many candidates make
+no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is tried is heuristic.
 """
 
 from __future__ import annotations
@@ -44,18 +43,18 @@ class Rival:
 
 @dataclass(kw_only=True, eq=False)
 class Search:
-    """The search on one set of `flights`. `interim` gets every structure that is taken."""
+    """The search on `flights`. `interim` gets what is taken; what is `hopeless` swaps nothing."""
 
     flights: Flights
     most: int
     say: Callable[[str, float], None]
     interim: Callable[[Fitted], None] = lambda _fit: None
+    hopeless: Callable[[Fitted], bool] = lambda _fit: False
     steps: list[StepRow] = field(default_factory=list)
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
     lost: dict[tuple[Structure, Structure], bool] = field(default_factory=dict)
-    """Whether what was (added, dropped) lost when last asked: what did waits until nothing else
-    gains, what did not, if it gained less than another move, is asked again at the next step."""
+    """Whether what was (added, dropped) lost when last asked: that waits until nothing gains."""
 
     @property
     def price(self) -> float:
@@ -88,15 +87,15 @@ class Search:
             if better is not None:
                 better = self._leaner(better) or better
             else:
-                better = self._leaner(at, last=True) or self._swap(at)
+                better = self._leaner(at, last=True)
+                better = better or (None if self.hopeless(at) else self._swap(at))
             if better is None:
                 return at
             at = better
         return at
 
     def every(self, at: Fitted) -> Fitted | None:
-        """The structure with one more cause, where each is fitted: far from none a cause may gain
-        what the slope there does not promise."""
+        """The structure with one more cause, each fitted: the slope at none may not promise it."""
         absent = set(self.flights.causes.effects) - at.structure
         wanted = [at.structure | {n} for n in sorted(absent) if len(self.added(at)) < self.most]
         moves: list[Move] = [(s, [at.known]) for s in wanted if self._new(at, s, True)]
@@ -217,8 +216,7 @@ class Search:
         return drop_gain(at, self.flights, name) > -3 * self.price
 
     def _swap(self, at: Fitted) -> Fitted | None:
-        """The structure with another cause in the place of one, where that is likelier: what is
-        predicted to lose least is asked first, then twice as many, until one gains."""
+        """The structure with another cause in the place of one, where that is likelier."""
         cost = {n: -drop_gain(at, self.flights, n) for n in self.added(at)}
         taken = {n: max((r[0] for r in self._scored(at).instead(n)), default=0.0) for n in cost}
         order = sorted(cost, key=lambda n: min(cost[n], (1.0 - taken[n]) * max(cost[n], 0.0)))
@@ -270,8 +268,7 @@ class Search:
 
     def _fits(self, at: Fitted, moves: list[Move], others: Sequence[Fitted] = ()) -> list[Fitted]:
         """Fits of moves from `at`, held against the likeliest of `others`. What adds and gains
-        nothing, and what drops and falls far behind, waits from then on: it rarely gains while
-        something else does, and the search still ends only where no move gains."""
+        nothing, and what drops and falls far behind, waits until nothing else gains."""
         fits = self.flights.contest(moves, max((at, *others), key=lambda f: f.log_evidence))
         for f in fits:
             move = _change(at, f.structure)
@@ -313,6 +310,8 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     rows = [i for i, u in enumerate(at.space.unknowns) if u.name in cause.parameters]
     if not rows or at.value.hessian is None:
         return 0.0 if rows else np.inf
+    if cause.kind == "sensor noise" and (at.theta[rows] >= at.space.upper[rows]).all():
+        return -np.inf  # it lasts longer than flights tell
     live = [i for i in rows if not at.held[i]]
     if not live:
         return np.inf

@@ -59,7 +59,8 @@ def first_line(found: Discovery) -> str:
         rough += "NOT CONVERGED, every number may move: "
     rough += f"AGAINST THE FILE: {'; '.join(found.denied)}. " * bool(found.denied)
     rough += "DOUBTFUL, beside an impossible offset of a sensor: " * bool(found.faults)
-    what = f"MISSING: {'; '.join(names)}" if names else "nothing is missing that has a name"
+    lack = "MISSING, new or from the start" if found.settings.get("since") else "MISSING"
+    what = f"{lack}: {'; '.join(names)}" if names else "nothing is missing that has a name"
     what += f"; in the model, not certified: {kept}" * bool(kept)
     what += f"; in the model, a trace alone: {traces}" * bool(traces)
     if held:
@@ -184,8 +185,7 @@ def so_far(added: Sequence[str], names: Sequence[Name] | None) -> str:
 
 
 def rows_of(names: Sequence[Name]) -> list[dict[str, Cell]]:
-    """One row per cause that was judged: the log10 e-value of leaving it out, and the share of the
-    squared error ahead that it removes."""
+    """One row per cause that was judged, against leaving it out."""
     return [
         {
             "cause": n.name,

@@ -1,7 +1,4 @@
-"""discover: the whole loop, from a model and flights to certified names, or an honest no.
-
-faults -> search by evidence -> certificates and worth -> what is left -> gap before and after.
-"""
+"""discover: from a model and flights to certified names, or an honest no."""
 
 from __future__ import annotations
 
@@ -72,6 +69,7 @@ from greybox.validation.gap import (
     worsened,
 )
 from greybox.validation.sanity import denied
+from greybox.validation.then import Then
 from greybox.validation.validate import verdict_on
 from greybox.validation.worth import worth
 
@@ -225,6 +223,9 @@ class _Run:
     warnings: list[str] = field(default_factory=list)
     needed: float = np.inf
     """Log e-value that each of the names found needs, see `bar_of_several`."""
+    unchanged: str = ""
+    last: Fitted | None = None
+    """Where nothing has changed: what is said, and what flights are likelier with."""
     _held_out: dict[Fitted, HeldOutErrors | None] = field(default_factory=dict)
     _settled: dict[Fitted, Fit] = field(default_factory=dict)
 
@@ -244,6 +245,7 @@ class _Run:
             most=self.options.max_effects,
             say=self.say,
             interim=lambda at: self._keep(search, at, None),
+            hopeless=lambda at: bool(self.then and self.then.beats(self.held_out(at), RULES.span)),
         )
         null = self.flights.fit(causes.base)
         names, at, left = self._answer(search, null)
@@ -256,7 +258,7 @@ class _Run:
         lawful = None
         if left.written is not None:
             lawful = left.lawful(self._judged(self.settled(left.written)))
-        rows = self._gap(null, at, left.written)
+        rows = self._gap(null, self.last or at, left.written)
         scores = search.scores
         taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
         share = 0.5 if self.test is None else judging / max(taught, 1)
@@ -281,12 +283,18 @@ class _Run:
             base=tuple(n for n in sorted(BASE) if n in found.model.effects),
             lawful=lawful,
             denied=denied(self.settled(left.written or at), causes.core),
+            unchanged=self.unchanged,
         )
 
     def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
-        more: Fitted | None = search.run(null)
+        last = search.run(null)
+        then = self.then
+        if then and (line := then.unchanged(self.held_out(last), search.added(last), RULES.span)):
+            self.unchanged, self.last, self.needed = line, last, self.bar
+            return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
+        more: Fitted | None = last
         while more is not None:
             at, said, offered = more, self.warnings.copy(), self.flights.causes
             names, named = self._named(at, search.contest(at))
@@ -350,6 +358,11 @@ class _Run:
             with contextlib.suppress(GreyboxError):
                 self._held_out[at] = self._ahead(self.settled(at).model)
         return self._held_out[at]
+
+    @functools.cached_property
+    def then(self) -> Then | None:
+        """The model from which on changes are sought, on the flights that judge."""
+        return Then.on(self.options.since, self.judges, self.options.adapt or 0.0)
 
     def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
         return predict_ahead(model, self.judges, adapt=self.options.adapt or 0.0, unnamed=unnamed)
@@ -447,7 +460,8 @@ class _Run:
                 "halves: e-values are then too large by what choosing gains",
                 "the gap is judged on the training flights: give --test flights",
             ]
-        before, after = self.held_out(null), self.held_out(at)
+        before = self.then.errors if self.then else self.held_out(null)
+        after = self.held_out(at)
         if before is None or after is None:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
             return []
@@ -469,7 +483,7 @@ class _Run:
             filtered=filtered,
             seed=self.options.seed,
         )
-        self.warnings += worsened(rows)
+        self.warnings += [] if self.last else worsened(rows)
         return rows
 
     def _learned(self, null: Fitted) -> Squares | None:

@@ -61,7 +61,6 @@ def worth(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> Worth:
         if old > 0:
             best = max(best, (removed > size * named.reading.get(key[0], 0.0), removed / old, *key))
     changes = seconds(without, named, span)
-    error = np.std(changes) / np.sqrt(max(changes.size - 1, 1))
     return Worth(
         share=float(best[1]),
         seen=best[0],
@@ -69,8 +68,14 @@ def worth(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> Worth:
         horizon=best[3],
         log_e=betting(changes),
         seconds=int(changes.size),
-        harms=changes.size > 1 and bool(changes.mean() + 2 * error < 0),
+        harms=clearly(-changes),
     )
+
+
+def clearly(changes: FloatArray) -> bool:
+    """Whether the mean of the changes (n,) of every second is above zero by two standard errors."""
+    error = np.std(changes) / np.sqrt(max(changes.size - 1, 1))
+    return changes.size > 1 and bool(changes.mean() > 2 * error)
 
 
 def seconds(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> FloatArray:

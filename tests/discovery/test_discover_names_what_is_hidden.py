@@ -12,15 +12,20 @@ import jsonschema
 import numpy as np
 import pytest
 
+import greybox.discovery.workflow
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.further import further
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT, Effort
+from greybox.discovery.search import Search
 from greybox.discovery.workflow import discover
 from greybox.errors import DataError, GreyboxError
+from greybox.estimation.fit import fit
 from greybox.files import to_plain
+from greybox.model.model import build_model
 from greybox.model.noise import sensor_parts
 from greybox.plants.effects import PayloadMass, PlantEffect, ThrustLevel
+from greybox.validation.then import Then
 from tests.discovery import small_world
 from tests.discovery.small_world import DAMPING, SHORT, shorten, vehicle
 from tests.discovery.test_noise_that_is_not_felt_is_not_kept import coloured
@@ -174,6 +179,26 @@ def test_a_load_is_told_from_rotors_that_are_weaker_by_as_much():
             (1.0 + m.values["thrust_level.s"]) * m.values["thrust.c2"] for m in (weak.model, before)
         )
         assert now / was == pytest.approx(0.87, abs=0.01)
+
+
+def test_what_is_no_change_is_said_first_and_costs_no_swap_and_no_certificate(
+    short: None, monkeypatch: pytest.MonkeyPatch
+):
+    then = fit(build_model(vehicle(), small_world.flown().channels), small_world.flown()).model
+    monkeypatch.setattr(Then, "unchanged", lambda _then, _new, added, _span: f"AS THEN: {added}")
+    monkeypatch.setattr(greybox.discovery.workflow, "certificates", None)
+    monkeypatch.setattr(Then, "beats", lambda *_: True)
+    monkeypatch.setattr(Search, "_swap", None)
+    train, test = small_world.flown(DAMPING), small_world.flown(DAMPING, seeds=(11,), name="test")
+    found = discover(vehicle(), train, test, since=then)
+    assert valid(found)["line"] == found.line == "AS THEN: ['rotational_damping']"
+    assert found.names == ()
+    assert "rotational_damping" not in found.model.effects
+    errors = Then.on(then, test, found.settings["adapt"] or 0.0)
+    assert errors is not None
+    half = next(r for r in found.gap if (r.group, r.horizon_s) == ("rate", 0.5))
+    squares = np.concatenate(errors.errors.own["rate", 0.5])
+    assert half.before == pytest.approx(np.sqrt(squares.mean())), "of the model of then"
 
 
 def test_further_flights_multiply_the_evidence(damped: tuple[Discovery, list[Discovery]]):

@@ -32,6 +32,7 @@ def said(times: int) -> tuple[list[str], Any]:
         return list(needed), structure(*(n.name for n in needed)) if len(needed) else at
 
     run: Any = SimpleNamespace(
+        then=None,
         warnings=[],
         flights=SimpleNamespace(causes=None, arrived=lambda at: at),
         say=lambda *_: None,

@@ -15,7 +15,7 @@ from greybox.discovery.options import DiscoverOptions
 from greybox.discovery.propose import sensor_proposals
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT
-from greybox.discovery.search import Search
+from greybox.discovery.search import Search, drop_gain
 from greybox.discovery.workflow import _Run
 from greybox.estimation.status import Code
 from greybox.model.noise import Coloured, LowPass
@@ -59,6 +59,19 @@ def test_a_filter_that_is_not_there_is_dropped_and_colour_that_is_there_stays(fl
     assert "low_pass.gyro" not in leaner.structure
     assert {"coloured.gyro", "rotational_damping"} <= leaner.structure
     assert leaner.log_evidence > whole.log_evidence
+
+
+def test_colour_that_lasts_longer_than_flights_tell_is_there(flights):
+    flights.causes = flights.causes.with_cause(
+        sensor_cause(Coloured(sensor="gyro"), flights.causes.model)
+    )
+    found = flights.fit(flights.causes.base | {"coloured.gyro"})
+    place = found.space.index["coloured.gyro.T", None]
+    theta, slope = found.theta.copy(), np.zeros_like(found.theta)
+    theta[place], slope[place] = found.space.upper[place], -1.0
+    ended = replace(found, theta=theta, value=replace(found.value, gradient=slope))
+    assert ended.held[place]
+    assert drop_gain(ended, flights, "coloured.gyro") == -np.inf
 
 
 def test_a_fit_that_was_given_up_is_carried_on_when_it_is_asked_for():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from greybox.estimation.problem import Value
+from greybox.estimation.solvers.kink import kink_near
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code
 from greybox.symbolic import FloatArray
@@ -75,3 +76,14 @@ def test_along_a_kink_of_two_unknowns_the_search_goes_on(
     assert status.code is Code.CONVERGED
     assert status.iterations < 20
     assert found == pytest.approx([1.0, -1.0], abs=2e-2)
+
+
+def test_where_the_cost_falls_on_two_costs_say_that_no_kink_is_near() -> None:
+    problem, x = Kinked(0.0, 3.0), np.zeros(2)
+    value, asked = problem.evaluate(x), list[FloatArray]()
+    problem.evaluate = lambda x, *_, **__: asked.append(x) or Kinked.evaluate(problem, x)  # type: ignore[method-assign,func-returns-value]
+    assert value.gradient is not None and value.hessian is not None
+    step = -np.linalg.solve(value.hessian, value.gradient)
+    found, tried = kink_near(problem, x, value, step, value.hessian, np.zeros(2, dtype=bool))
+    assert found is None
+    assert tried == len(asked) == 2

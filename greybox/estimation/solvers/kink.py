@@ -18,6 +18,8 @@ BESIDE = 0.1
 """How far along a step that fails a kink is looked for, in standard errors."""
 CLOSE = 1e-6
 """How closely its place is found, as a share of that."""
+END = 0.99
+"""Share of that beyond which the lowest point is its end: the cost falls on, across no kink."""
 JUMPS = 0.75
 """Share of the change of a slope that is left on half the way where it jumps; where it bends, half
 is."""
@@ -59,14 +61,16 @@ def kink_near(
 
     size = np.sqrt(np.maximum(np.diag(h), 1e-300))
     whole = min(BESIDE / np.sqrt(max(float(step @ h @ step), 1e-300)), 1.0)
+    if cost(whole) < min(cost(END * whole), value.cost):
+        return None, 2
     found = minimize_scalar(
         cost,
         bounds=(0.0, whole),
         method="bounded",
         options={"xatol": CLOSE * whole, "maxiter": 60},
     )
-    lowest, tried = float(found.x), int(found.nfev)
-    if not lowest < 0.99 * whole:
+    lowest, tried = float(found.x), int(found.nfev) + 2
+    if not lowest < END * whole:
         return None, tried
     wide, tried = change(4 * CLOSE * whole), tried + 2
     if not np.isfinite(wide[0]).all() or not wide[0].any():

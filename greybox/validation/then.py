@@ -1,0 +1,64 @@
+"""Then: whether a model that was identified before still foretells flights of now.
+
+What has changed shows in that. Flights ask by their likelihood for more than has changed: for what
+the model lacked from the start, as it was fitted by its errors ahead, or other manoeuvres show it.
+So a model with all that is held against the one of then by what both foretell, and where it does
+not foretell clearly better nothing in it is a change.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.errors import GreyboxError
+from greybox.estimation.record import sample_time
+from greybox.model.identified import IdentifiedModel
+from greybox.validation.gap import HeldOutErrors, predict_ahead
+from greybox.validation.validate import verdict_on
+from greybox.validation.worth import Span, clearly, seconds
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Then:
+    """The `model` of then on flights `judges` of now, of which it may adapt to the first `adapt`
+    [s], and its `errors` ahead there."""
+
+    model: IdentifiedModel
+    judges: Dataset
+    adapt: float
+    errors: HeldOutErrors
+
+    @classmethod
+    def on(cls, model: IdentifiedModel | None, judges: Dataset, adapt: float) -> Self | None:
+        """None where there is no model, or it predicts nothing there."""
+        if model is None or not np.isclose(model.sample_time, sample_time(judges)):
+            return None
+        with contextlib.suppress(GreyboxError):
+            errors = predict_ahead(model, judges, adapt=adapt)
+            return cls(model=model, judges=judges, adapt=adapt, errors=errors)
+        return None
+
+    def beats(self, new: HeldOutErrors | None, span: Span) -> bool:
+        """Whether it foretells clearly better within `span` than a model whose errors are `new`."""
+        return new is not None and clearly(-seconds(self.errors, new, span))
+
+    def unchanged(self, new: HeldOutErrors | None, added: Sequence[str], span: Span) -> str:
+        """In words, that a model with what is `added`, whose errors are `new`, does not foretell
+        clearly better within `span`; empty where it does, or nobody knows."""
+        changes = np.zeros(0) if new is None else seconds(self.errors, new, span)
+        if not added or changes.size < 2 or clearly(changes):
+            return ""
+        now, was = verdict_on(self.model, self.judges, self.adapt), self.model.verdict
+        lost = now is not None and now.refused and not (was and was.refused)
+        first = "CHANGED, BY NOTHING ON OFFER" if lost else "NOTHING HAS CHANGED that is felt"
+        seen = f": the model of --from is {now.line} there" if now else ""
+        return (
+            f"{first}{seen}. What makes flights likelier does not foretell better: "
+            f"{', '.join(added)} (missing from the start, or worth nothing)"
+        )
