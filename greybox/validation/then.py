@@ -57,7 +57,8 @@ class Then:
         now, was = verdict_on(self.model, self.judges, self.adapt), self.model.verdict
         lost = now is not None and now.refused and not (was and was.refused)
         first = "CHANGED, BY NOTHING ON OFFER" if lost else "NOTHING HAS CHANGED that is felt"
-        seen = f": the model of --from is {now.line} there" if now else ""
+        on = "" if lost else " (go on with it, not with what is written here)"
+        seen = f": the model of --from{on} is {now.line} there" if now else ""
         return (
             f"{first}{seen}. What makes flights likelier does not foretell better: "
             f"{', '.join(added)} (missing from the start, or worth nothing)"

@@ -42,6 +42,7 @@ def test_a_model_with_more_that_foretells_worse_names_no_change(then):
     said = then.unchanged(errors(2.0), ADDED, SPAN)
     assert said.startswith("NOTHING HAS CHANGED that is felt")
     assert FINE.line in said
+    assert "go on with it, not with what is written here" in said
     assert ", ".join(ADDED) in said
     assert then.beats(errors(2.0), SPAN)
     assert not then.beats(errors(1.0), SPAN)
@@ -66,5 +67,6 @@ def test_a_model_that_foretells_no_more_has_changed_all_the_same(then):
     said = then.unchanged(errors(2.0), ADDED, SPAN)
     assert said.startswith("CHANGED, BY NOTHING ON OFFER")
     assert BAD.line in said
+    assert "go on with it" not in said
     then.model.verdict = BAD  # then as now
     assert then.unchanged(errors(2.0), ADDED, SPAN).startswith("NOTHING HAS CHANGED")
