@@ -69,8 +69,7 @@ def fit(
     vehicle or all flights have faults that block, and `DataError` for a flight that is both to
     train and to test.
     """
-    if source is not None:
-        demand_finished(source.verdict, source.name)
+    demand_finished(source)
     data = Dataset.of(data)
     held_out = Dataset(flights=(test,)) if isinstance(test, Flight) else test
     demand_disjoint(data.files, () if held_out is None else held_out.files)

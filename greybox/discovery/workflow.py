@@ -104,15 +104,14 @@ def discover(
     whole: own, alpha, max_effects, adapt, kinematic_noise, per_flight, fixed, hold_sensor_noise,
     attainable, trace, since, effort, seed.
 
-    `faults`: what `check_logs` said about the files (by default the data are checked, which show no
+    `faults`: what `check_logs` said about the files (default: the data are checked, which show no
     faults of their clock; those of the checks in `accept` do not block). `save` gets what is known
-    after every step, "stopped", and what is not known in words. `executor` fits rivals side by
-    side, with the same result. Raises `DataError`, `ModelError`, `FitError`, `UnknownNameError`.
+    after every step, "stopped". `executor` fits rivals side by side, with the same result. Raises
+    `DataError`, `ModelError`, `FitError`, `UnknownNameError`.
     """
     began = time.perf_counter()
     options, doubts = DiscoverOptions.of(options, choices), list[str]()
-    if options.since is not None:
-        demand_finished(options.since.verdict, options.since.name)
+    demand_finished(options.since)
     train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     if tested is not None:

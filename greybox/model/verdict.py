@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NotRequired, TypedDict
+from typing import Literal, NotRequired, Protocol, TypedDict
 
 from greybox.errors import ModelError
 from greybox.files import Parsed
@@ -278,12 +278,27 @@ def demand_usable(verdict: Verdict | None, model: str, *, even_so: bool) -> None
         raise ModelError(verdict.sentence, where=model, fix="even_so=True goes on all the same")
 
 
-def demand_finished(verdict: Verdict | None, model: str) -> None:
-    """Raises `ModelError` for the `model` (its name) of a command that ended before the model was
-    judged: whoever builds on it would give it a verdict that is not its own."""
-    if verdict is not None and verdict.outcome is Outcome.UNFINISHED:
+class Judged(Protocol):
+    """What carries a verdict, and has a name."""
+
+    @property
+    def name(self) -> str:
+        """As its file says."""
+        ...
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """None where nobody judged."""
+        ...
+
+
+def demand_finished(model: Judged | None) -> None:
+    """Raises `ModelError` for the model of a command that ended before the model was judged:
+    whoever builds on it would give it a verdict that is not its own."""
+    verdict = None if model is None else model.verdict
+    if model is not None and verdict is not None and verdict.outcome is Outcome.UNFINISHED:
         raise ModelError(
             verdict.sentence,
-            where=model,
+            where=model.name,
             fix="dataclasses.replace(model, verdict=None) goes on all the same",
         )

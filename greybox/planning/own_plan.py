@@ -224,8 +224,7 @@ def _subject(
     sample_time: float | None,
 ) -> OwnSubject:
     fitted = model if isinstance(model, IdentifiedModel) else None
-    if fitted is not None:
-        demand_finished(fitted.verdict, fitted.name)
+    demand_finished(fitted)
     core = fitted.core if fitted is not None else model
     if not isinstance(core, StateSpaceModel):
         raise ModelError(

@@ -53,12 +53,10 @@ def plan(
     for model, values, noise levels and sensors. `limits` default to a box of 4 x 4 x 2.5 m, 3 m/s,
     35 degrees and the command range less 2 % at both ends. `setpoints_only` leaves out manoeuvres
     that need injected signals. `say` hears of progress. Raises `GreyboxError` (limits without room,
-    nothing to estimate), `FitError` (nothing that can be flown), `UnknownNameError`, `ModelError` (a
-    `model` that was not finished, too).
+    nothing to estimate), `FitError` (nothing that can be flown), `UnknownNameError`, `ModelError`.
     """
     o = PlanOptions.of(options, choices)
-    if model is not None:
-        demand_finished(model.verdict, model.name)
+    demand_finished(model)
     count = _pieces(o)
     short = left_over(o.seconds, o.piece)
     for text in short:

@@ -165,7 +165,7 @@ class Quadrotor:
         self._row = self._draws.row()
         self._disturbance.advance(self._row)
         self._memory: Memory | None = None
-        self._read: tuple[tuple[Any, ...], list[Number]] | None = None
+        self._read: tuple[tuple[object, ...], list[Number]] | None = None
         if self._late:
             first = self._reading(self.time, *self._speeds_now())
             self._memory = Memory(self._longest, first)

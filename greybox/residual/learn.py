@@ -249,7 +249,7 @@ def learn(
     block), `ModelError` (an unfinished model, a learner that returns what is not finite, too).
     """
     chosen = LearnOptions.of(options, choices)
-    demand_finished(model.verdict, model.name)
+    demand_finished(model)
     train, physics = Dataset.of(train), physics_of(model.dynamics)
     if physics is not None:
         demand_sound(check(train, physics.vehicle, accept=accept), "learning")
