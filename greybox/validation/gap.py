@@ -194,9 +194,12 @@ def outgrown(
 
 def doubt(rows: Iterable[GapRow]) -> str:
     """The beginning of a sentence that says what the names leave worse than it was without them and
-    the filter mends; empty where there is nothing of the kind."""
+    the filter mends, and what to do; empty where there is nothing of the kind."""
     groups = ", ".join(dict.fromkeys(r.group for r in rows if r.doubtful))
-    said = f"USE WITH ITS FILTER ONLY (alone it foretells {groups} worse than before). "
+    said = (
+        f"USE WITH ITS FILTER ONLY (alone it foretells {groups} worse than before; `greybox fit "
+        "--from` its model fits numbers by errors ahead). "
+    )
     return said if groups else ""
 
 

@@ -122,6 +122,7 @@ def test_what_got_worse_has_a_reason(seen: float, why: str):
     assert worsened(better) == []
     assert doubt(better) == ""
     assert ("alone it foretells rate worse" in doubt(worse)) is (why == "stands against")
+    assert ("`greybox fit --from`" in doubt(worse)) is (why == "stands against")
     assert doubt([replace(r, after=1.05 * r.before) for r in worse]) == ""
 
 
