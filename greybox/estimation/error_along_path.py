@@ -39,14 +39,17 @@ class ErrorAlongPath:
     def arrive(self, errors: LearnedErrors) -> None:
         """At the next place of the path, of the push with these `errors`."""
         own = errors.together(errors, open_only=self._open_only)
-        row = np.zeros((*own.shape, len(self._places)))
+        row, left = np.zeros((*own.shape, len(self._places))), own
         for k, place in enumerate(self._places):
             known = np.einsum("mjk,mjk->mj", row[..., :k], self._root[..., k, :k])
             both = errors.together(place, open_only=self._open_only)
-            row[..., k] = (both - known) / self._root[..., k, k]
+            # Where support leaves little open, rounding alone could tell more than there is.
+            most = np.sqrt(np.maximum(left, 0.0))
+            row[..., k] = np.clip((both - known) / self._root[..., k, k], -most, most)
+            left = left - row[..., k] ** 2
         told = (row**2).sum(axis=-1)
         # Of a craft that cannot be, one error may be no number, or larger than all others together.
-        fresh, there = np.fmax(own - told, 0.0), own > 0.0
+        fresh, there = np.fmax(left, 0.0), own > 0.0
         share = np.divide(fresh, own, out=np.zeros_like(own), where=there)
         if np.any(share.sum(axis=0) > SAME * len(own)) or np.any(there & (told == 0.0)):
             least = np.where(there, LEAST * own, 1.0)

@@ -121,3 +121,18 @@ def test_without_predictions_there_is_nothing_to_carry() -> None:
     along.arrive(At(0, covariance(8.0)[:0]))
     along.step(np.zeros((0, ND, ND)))
     assert along.carried.size == along.seen(np.zeros((NE, OUTPUTS))).size == 0
+
+
+def test_covariance_that_is_rounding_alone_states_no_more_than_the_errors_of_every_step() -> None:
+    """Where support points leave nothing open, what is left of large numbers is no covariance."""
+    noise = np.random.default_rng(1).standard_normal((PREDICTIONS, OUTPUTS, STEPS, STEPS))
+    k = 0.5 * (noise + noise.transpose(0, 1, 3, 2))
+    k[..., range(STEPS), range(STEPS)] = 1.0
+    assert np.linalg.eigvalsh(k).min() < 0.0
+    along = ErrorAlongPath(np.eye(OUTPUTS), PREDICTIONS, open_only=False)
+    for t in range(STEPS):
+        along.arrive(At(t, k))
+        seen = along.seen(np.eye(OUTPUTS))
+        assert np.einsum("mjk,mjk->mj", seen, seen) == pytest.approx(1.0, rel=1e-5)
+        along.step(np.broadcast_to(np.eye(OUTPUTS), (PREDICTIONS, OUTPUTS, OUTPUTS)))
+    assert np.einsum("mjk,mjk->mj", along.carried, along.carried).max() <= STEPS**2
