@@ -38,14 +38,14 @@ class ErrorAlongPath:
 
     def arrive(self, errors: LearnedErrors) -> None:
         """At the next place of the path, of the push with these `errors`."""
-        own = errors.together(errors, open_only=self._open_only)
+        own = errors.together([errors], open_only=self._open_only)[0]
+        both = errors.together(self._places, open_only=self._open_only)
         row, left = np.zeros((*own.shape, len(self._places))), own
-        for k, place in enumerate(self._places):
+        for k in range(len(self._places)):
             known = np.einsum("mjk,mjk->mj", row[..., :k], self._root[..., k, :k])
-            both = errors.together(place, open_only=self._open_only)
             # Where support leaves little open, rounding alone could tell more than there is.
             most = np.sqrt(np.maximum(left, 0.0))
-            row[..., k] = np.clip((both - known) / self._root[..., k, k], -most, most)
+            row[..., k] = np.clip((both[k] - known) / self._root[..., k, k], -most, most)
             left = left - row[..., k] ** 2
         told = (row**2).sum(axis=-1)
         # Of a craft that cannot be, one error may be no number, or larger than all others together.
@@ -56,7 +56,9 @@ class ErrorAlongPath:
             row = np.concatenate([row, np.sqrt(np.maximum(fresh, least))[..., None]], axis=-1)
             self._add(errors, row)
         else:
-            row = row * np.sqrt(np.divide(own, told, out=np.zeros_like(own), where=there))[..., None]
+            row = (
+                row * np.sqrt(np.divide(own, told, out=np.zeros_like(own), where=there))[..., None]
+            )
         self._now = row * there[..., None]
 
     def _add(self, errors: LearnedErrors, row: FloatArray) -> None:

@@ -3,6 +3,7 @@ places."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +23,8 @@ class At(LearnedErrors):
     t: int
     covariance: np.ndarray
 
-    def together(self, other: At, *, open_only: bool = False) -> np.ndarray:
-        return self.covariance[:, :, self.t, other.t]
+    def together(self, others: Sequence[At], *, open_only: bool = False) -> np.ndarray:
+        return np.moveaxis(self.covariance[:, :, self.t, [o.t for o in others]], -1, 0)
 
 
 def covariance(lengthscale: float) -> np.ndarray:
