@@ -17,9 +17,12 @@ from greybox.symbolic import FloatArray
 
 SAME = 0.01
 """Share of the variance at a place that may be counted with the places before it."""
+HELD = 0.01
+"""For so long [s] an error stays what it was: of a log at 1 kHz places a millisecond apart would be
+ten times as many, for pushes that moved nothing in between."""
 LEAST = 1e-6
-"""A place that adds a number keeps this share of the usual variance at least for it, as what
-follows is divided by it."""
+"""A place that adds a number keeps this share of its variance at least for it, as what follows is
+divided by it."""
 
 
 class ErrorAlongPath:
@@ -38,22 +41,28 @@ class ErrorAlongPath:
 
     def arrive(self, errors: LearnedErrors) -> None:
         """At the next place of the path, of the push with these `errors`."""
-        own = errors.together(errors, open_only=self._open_only)
-        row = np.zeros((*own.shape, len(self._places)))
-        for k, place in enumerate(self._places):
+        own = errors.together([errors], open_only=self._open_only)[0]
+        both = errors.together(self._places, open_only=self._open_only)
+        row, left = np.zeros((*own.shape, len(self._places))), own
+        for k in range(len(self._places)):
             known = np.einsum("mjk,mjk->mj", row[..., :k], self._root[..., k, :k])
-            both = errors.together(place, open_only=self._open_only)
-            row[..., k] = (both - known) / self._root[..., k, k]
+            # Where support leaves little open, rounding alone could tell more than there is.
+            most = np.sqrt(np.maximum(left, 0.0))
+            row[..., k] = np.clip((both[k] - known) / self._root[..., k, k], -most, most)
+            left = left - row[..., k] ** 2
         told = (row**2).sum(axis=-1)
-        fresh, usual = own - told, own.mean(axis=0)
-        if np.any(np.maximum(fresh, 0.0).mean(axis=0) > SAME * usual):
-            least = np.where(usual > 0, LEAST * usual, 1.0)
+        # Of a craft that cannot be, one error may be no number, or larger than all others together.
+        fresh, there = np.fmax(left, 0.0), own > 0.0
+        share = np.divide(fresh, own, out=np.zeros_like(own), where=there)
+        if np.any(share.sum(axis=0) > SAME * len(own)) or np.any(there & (told == 0.0)):
+            least = np.where(there, LEAST * own, 1.0)
             row = np.concatenate([row, np.sqrt(np.maximum(fresh, least))[..., None]], axis=-1)
             self._add(errors, row)
         else:
-            scale = np.sqrt(np.divide(own, told, out=np.zeros_like(own), where=told > 0))
-            row = row * scale[..., None]
-        self._now = row * (usual > 0)[:, None]
+            row = (
+                row * np.sqrt(np.divide(own, told, out=np.zeros_like(own), where=there))[..., None]
+            )
+        self._now = row * there[..., None]
 
     def _add(self, errors: LearnedErrors, row: FloatArray) -> None:
         self._places.append(errors)
@@ -69,15 +78,20 @@ class ErrorAlongPath:
     @property
     def carried(self) -> FloatArray:
         """What the error made of the error state so far, (m, n_d, n_out r)."""
-        return self._carried.reshape(*self._carried.shape[:2], -1)
+        return _in_columns(self._carried)
 
     def seen(self, through: FloatArray) -> FloatArray:
         """What it makes of a measurement at this place by itself, (m, n_e, n_out r), where it acts
         on it by `through` (n_e, n_out)."""
-        now = through[None, :, :, None] * self._now[:, None]
-        return now.reshape(*now.shape[:2], -1)
+        return _in_columns(through[None, :, :, None] * self._now[:, None])
 
     def step(self, a: FloatArray) -> None:
         """One sample on, by the transitions a (m, n_d, n_d) of the error state."""
         moved = (a @ self.carried).reshape(self._carried.shape)
         self._carried = moved + self._into[None, :, :, None] * self._now[:, None]
+
+
+def _in_columns(array: FloatArray) -> FloatArray:
+    """(m, n, n_out, r) as (m, n, n_out r)."""
+    m, n, outputs, r = array.shape
+    return array.reshape(m, n, outputs * r)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine, engine_for
-from greybox.estimation.error_along_path import ErrorAlongPath
+from greybox.estimation.error_along_path import HELD, ErrorAlongPath
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.smoothing import transitions
 from greybox.model.identified import IdentifiedModel
@@ -108,6 +108,7 @@ def run_together(
     states = np.ascontiguousarray(filtered.states[rows])
     white = [filtered.state_covariances(rows) for _ in propagators]
     learned = {k: _Learned.of(p, m) for k, p in _kinds(propagators).items()}
+    held = max(1, round(HELD / record.dt))
     start = np.zeros((m, nd, na + nd))
     start[:, :, na:] = np.eye(nd)
     for h in range(1, horizon + 1):
@@ -121,7 +122,7 @@ def run_together(
         out = []
         # Of a craft that cannot be, it may spread beyond all numbers: the verdict tells that.
         with np.errstate(over="ignore", invalid="ignore"):
-            for error in learned.values():
+            for error in learned.values() if (h - 1) % held == 0 else ():
                 error.arrive(states, _windows(engine, record.inputs, at))
             for i, p in enumerate(propagators):
                 total, inner = white[i], c @ white[i] @ c.transpose(0, 2, 1) + p.seen

@@ -10,7 +10,7 @@ effects, asks `innermost` or `physics_of`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self, TypeVar
 
@@ -199,8 +199,9 @@ class LearnedErrors(ABC):
     """The error of a learned push at m places."""
 
     @abstractmethod
-    def together(self, other: Self, *, open_only: bool = False) -> FloatArray:
-        """Covariance (m, n_out) with the error at the m places of `other`, one with one.
+    def together(self, others: Sequence[Self], *, open_only: bool = False) -> FloatArray:
+        """Covariance (r, m, n_out) with the errors of each of r `others` at its m places, one with
+        one.
 
         open_only: of what no weight can say, as between the support points of a process, alone.
         """

@@ -41,7 +41,10 @@ def judge_both(
             validation[label] = seen[-1].to_dict()
         except GreyboxError as error:
             content["warnings"].append(f"no validation {label}: {error}")
-    verdict = seen[-1].verdict if HALVES[-1] in validation else None
+    verdict = None
+    if HALVES[-1] in validation:
+        verdict = seen[-1].verdict
+        content["warnings"] += seen[-1].too_narrow()
     if verdict is not None and len(seen) == len(HALVES) and seen[0].verdict is not None:
         beside = against(seen[0], seen[1], readings(models[0]))
         document = beside.to_dict(f"the physics alone ({base})")

@@ -12,6 +12,7 @@ the error of the weights. Of features only the last is there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +29,9 @@ class NoErrors(LearnedErrors):
 
     shape: tuple[int, int]
 
-    def together(self, other: NoErrors, *, open_only: bool = False) -> FloatArray:
-        """Zeros (m, n_out)."""
-        return np.zeros(self.shape)
+    def together(self, others: Sequence[NoErrors], *, open_only: bool = False) -> FloatArray:
+        """Zeros (r, m, n_out)."""
+        return np.zeros((len(others), *self.shape))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,10 +41,13 @@ class FeatureErrors(LearnedErrors):
 
     roots: FloatArray
 
-    def together(self, other: FeatureErrors, *, open_only: bool = False) -> FloatArray:
-        """Covariance (m, n_out); nothing is open but the weights."""
-        product: FloatArray = np.einsum("jmk,jmk->mj", self.roots, other.roots)
-        return np.zeros_like(product) if open_only else product
+    def together(self, others: Sequence[FeatureErrors], *, open_only: bool = False) -> FloatArray:
+        """Covariance (r, m, n_out); nothing is open but the weights."""
+        outputs, m, _ = self.roots.shape
+        if open_only or not others:
+            return np.zeros((len(others), m, outputs))
+        product: FloatArray = np.einsum("jmk,rjmk->rmj", self.roots, [o.roots for o in others])
+        return product
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,21 +60,29 @@ class ProcessErrors(LearnedErrors):
     explained: dict[int, FloatArray]
     uncertain: dict[int, FloatArray]
 
-    def together(self, other: ProcessErrors, *, open_only: bool = False) -> FloatArray:
-        """Covariance (m, n_out); zero of outputs that are off."""
-        post = self.posterior
-        out, prior = np.zeros((self.x.shape[1], len(post.outputs))), {}
+    def together(self, others: Sequence[ProcessErrors], *, open_only: bool = False) -> FloatArray:
+        """Covariance (r, m, n_out); zero of outputs that are off."""
+        post, r, m = self.posterior, len(others), self.x.shape[1]
+        out, prior = np.zeros((r, m, len(post.outputs))), {}
+        if not others:
+            return out
+        here, there = np.tile(self.x, r), np.concatenate([o.x for o in others], axis=1)
+        same = [o is self for o in others]
         for j, own in self.explained.items():
             kernel = post.kernels[j]
             if id(kernel) not in prior:
-                prior[id(kernel)] = kernel.paired(self.x, other.x)
-            left = prior[id(kernel)] - np.einsum("km,km->m", own, other.explained[j])
-            if other is self:
-                left = np.maximum(left, 0.0)
+                prior[id(kernel)] = kernel.paired(here, there).reshape(r, m)
+            left = prior[id(kernel)] - _products(own, [o.explained[j] for o in others])
+            left[same] = np.maximum(left[same], 0.0)
             if not open_only:
-                left = left + np.einsum("km,km->m", self.uncertain[j], other.uncertain[j])
-            out[:, j] = post.output_scale[j] ** 2 * post.variance_factor[j] * left
+                left += _products(self.uncertain[j], [o.uncertain[j] for o in others])
+            out[:, :, j] = post.output_scale[j] ** 2 * post.variance_factor[j] * left
         return out
+
+
+def _products(own: FloatArray, others: Sequence[FloatArray]) -> FloatArray:
+    """Of columns (M, m) with those of each of r others, (r, m)."""
+    return np.array([(own * other).sum(axis=0) for other in others])
 
 
 def errors_at(posterior: GPPosterior | FeaturePosterior, z: FloatArray) -> LearnedErrors:

@@ -5,6 +5,7 @@ of state and command.
 |---|---|---|
 | body_velocity.x/y/z | velocity of the centre of mass in body axes | m/s |
 | gravity.x/y/z | direction of gravity in body axes, R' (0, 0, -1) | - |
+| heading.x/y | horizontal direction of the x axis of the body, in the world | - |
 | phi, theta, psi | ZYX Euler angles (the layout of Ghoul et al. 2026) | rad |
 | p, q, r | body rates | rad/s |
 | nu1 .. nun | normalised rotor speeds, where the model has rotor states | - |
@@ -59,7 +60,8 @@ def available(dynamics: Dynamics) -> Mapping[str, str]:
     if {"velocity", "attitude"} <= set(blocks):
         out |= {f"body_velocity.{a}": "m/s" for a in "xyz"}
     if "attitude" in blocks:
-        out |= {f"gravity.{a}": "-" for a in "xyz"} | dict.fromkeys(("phi", "theta", "psi"), "rad")
+        out |= {f"gravity.{a}": "-" for a in "xyz"} | {f"heading.{a}": "-" for a in "xy"}
+        out |= dict.fromkeys(("phi", "theta", "psi"), "rad")
     if "rate" in blocks:
         out |= dict.fromkeys("pqr", "rad/s")
     out |= {f"nu{i + 1}": "-" for i in range(len(blocks.get("rotor", ())))}
@@ -126,6 +128,7 @@ def features(dynamics: Dynamics, names: Sequence[str], x: Expr, window: Expr) ->
         angles = euler_zyx(x[blocks["attitude"]])
         table |= {n: angles[i] for i, n in enumerate(("phi", "theta", "psi"))}
         table |= {f"gravity.{a}": -rotation[2, i] for i, a in enumerate("xyz")}
+        table |= {f"heading.{a}": rotation[i, 0] for i, a in enumerate("xy")}
         if "velocity" in blocks:
             v = rotation.T @ x[blocks["velocity"]]
             table |= {f"body_velocity.{a}": v[i] for i, a in enumerate("xyz")}

@@ -189,7 +189,7 @@ class Learned(Shown):
 
 def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tuple[str, ...]]:
     """Sets of features to try, by name: body velocity, motion, motion with the direction of
-    gravity, with the rotors; on request the `place` alone and with the motion. Of a model that is
+    gravity, with the rotors; on request the `place` with the heading, and with the motion. Of a model that is
     not a vehicle's: its states, and states with inputs. Raises `ModelError` for the place where no
     position is measured."""
     full = default_features(model.dynamics)
@@ -216,7 +216,9 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
                 "no position is measured: what depends on the place cannot be learned",
                 fix="leave place out",
             )
-        where = tuple(f"position.{a}" for a in "xyz")
+        # What stands in the room pushes in its axes, and what is learned is in the body's.
+        heading = (n for n in available(model.dynamics) if n.startswith("heading."))
+        where = (*(f"position.{a}" for a in "xyz"), *heading)
         sets |= {"place": where, "place and motion": (*where, *motion, *gravity)}
     return {n: s for n, s in sets.items() if s}
 

@@ -164,9 +164,11 @@ class GPPosterior(AsFunction, Shown):
             not (self.input_scale > 0).all()
             or not (self.output_scale > 0).all()
             or not (self.noise >= 0).all()
+            or not all(1.0 <= f < np.inf for f in self.variance_factor)
         ):
             raise ModelError(
-                "GPPosterior: scales must be positive and noise variances not negative"
+                "GPPosterior: scales must be positive, noise variances not negative, factors of "
+                "the variance 1 or more"
             )
 
     def __getstate__(self) -> dict[str, object]:

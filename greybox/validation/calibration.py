@@ -36,7 +36,7 @@ import scipy.optimize
 from greybox.data import Dataset
 from greybox.errors import DataError, FitError
 from greybox.estimation.filtering import Filter, Filtered
-from greybox.estimation.propagation import Propagator, run_together
+from greybox.estimation.propagation import Ahead, Propagator, run_together
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
@@ -189,22 +189,29 @@ class _Parts:
         self, filtered: Filtered, origins: npt.NDArray[np.int_], horizons: Sequence[int]
     ) -> list[_Errors]:
         """Per horizon and channel block; nothing where a prediction is not finite."""
+        found: list[_Errors] = []
         try:
-            runs = list(run_together(self.propagators, filtered, origins, max(horizons)))
+            for at in run_together(self.propagators, filtered, origins, max(horizons)):
+                if at[0].h in horizons:  # the others would fill the memory of a long flight
+                    found += self._at(at, filtered, origins)
         except FitError:
             return []
-        found = []
-        for h in horizons:
-            at = runs[h - 1]
-            e = _errors(self.runner, filtered, at[0].states, origins + h)
-            seen = filtered.record.mask[origins + h] != 0
-            for label, rows in self.blocks.items():
-                keep = seen[:, rows].all(axis=1)
-                if keep.any():
-                    c = np.array([a.innovation_covariance[keep][:, rows][:, :, rows] for a in at])
-                    found.append(
-                        _Errors(h=h, label=label, e=e[keep][:, rows], base=c[0], parts=c[1:] - c[0])
-                    )
+        return found
+
+    def _at(
+        self, at: Sequence[Ahead], filtered: Filtered, origins: npt.NDArray[np.int_]
+    ) -> list[_Errors]:
+        """Per channel block, of one horizon."""
+        h, found = at[0].h, []
+        e = _errors(self.runner, filtered, at[0].states, origins + h)
+        seen = filtered.record.mask[origins + h] != 0
+        for label, rows in self.blocks.items():
+            keep = seen[:, rows].all(axis=1)
+            if keep.any():
+                c = np.array([a.innovation_covariance[keep][:, rows][:, :, rows] for a in at])
+                found.append(
+                    _Errors(h=h, label=label, e=e[keep][:, rows], base=c[0], parts=c[1:] - c[0])
+                )
         return found
 
 

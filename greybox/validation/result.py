@@ -172,10 +172,10 @@ class Validation(Shown):
         no tables."""
         if not self.tables:
             return ""
-        return "\n".join([format_tables(self.tables, self.horizons), *self._too_narrow()])
+        return "\n".join([format_tables(self.tables, self.horizons), *self.too_narrow()])
 
-    def _too_narrow(self) -> list[str]:
-        """A line of the groups whose stated 95 % regions hold clearly fewer of the errors, each
+    def too_narrow(self) -> list[str]:
+        """A line, or none, of the groups whose stated 95 % regions hold clearly fewer of the errors, each
         with all horizons where they do."""
         found = []
         for name, errors in () if self.table is None else self.table.groups.items():

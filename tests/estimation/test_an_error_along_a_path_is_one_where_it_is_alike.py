@@ -3,6 +3,7 @@ places."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +23,8 @@ class At(LearnedErrors):
     t: int
     covariance: np.ndarray
 
-    def together(self, other: At, *, open_only: bool = False) -> np.ndarray:
-        return self.covariance[:, :, self.t, other.t]
+    def together(self, others: Sequence[At], *, open_only: bool = False) -> np.ndarray:
+        return np.moveaxis(self.covariance[:, :, self.t, [o.t for o in others]], -1, 0)
 
 
 def covariance(lengthscale: float) -> np.ndarray:
@@ -92,3 +93,47 @@ def test_an_output_without_error_adds_nothing() -> None:
     assert apart(found, true) < 4 * SAME
     k[:, 1] = 0.0
     assert not travelled(k)[0].any()
+
+
+@pytest.mark.parametrize("scale", [1e18, np.nan])
+@pytest.mark.parametrize("lengthscale", [40.0, 2.0])
+def test_a_prediction_that_runs_away_changes_no_other(scale: float, lengthscale: float) -> None:
+    """A cubic law far outside, or a craft that cannot be: the rest states what it states alone."""
+    k = covariance(lengthscale)
+    k[-1, :, 5:] *= scale
+    k[-1, :, :, 5:] *= scale
+    found, true, _ = travelled(k)
+    assert apart(found[:-1], true[:-1]) < 4 * SAME
+
+
+def test_a_prediction_that_starts_without_error_gets_it_where_it_comes_to() -> None:
+    """As at rest, where a law of the speed is exact, among many that move from the start."""
+    k = np.tile(covariance(1e6)[:1], (500, 1, 1, 1))
+    k[0, :, :5] = k[0, :, :, :5] = 0.0
+    along = ErrorAlongPath(np.eye(OUTPUTS), len(k), open_only=False)
+    for t in range(8):
+        along.arrive(At(t, k))
+    seen = along.seen(np.eye(OUTPUTS))[0]
+    assert np.diag(seen @ seen.T) == pytest.approx([1.0, 9.0])
+
+
+def test_without_predictions_there_is_nothing_to_carry() -> None:
+    along = ErrorAlongPath(np.zeros((ND, OUTPUTS)), 0, open_only=False)
+    along.arrive(At(0, covariance(8.0)[:0]))
+    along.step(np.zeros((0, ND, ND)))
+    assert along.carried.size == along.seen(np.zeros((NE, OUTPUTS))).size == 0
+
+
+def test_covariance_that_is_rounding_alone_states_no_more_than_the_errors_of_every_step() -> None:
+    """Where support points leave nothing open, what is left of large numbers is no covariance."""
+    noise = np.random.default_rng(1).standard_normal((PREDICTIONS, OUTPUTS, STEPS, STEPS))
+    k = 0.5 * (noise + noise.transpose(0, 1, 3, 2))
+    k[..., range(STEPS), range(STEPS)] = 1.0
+    assert np.linalg.eigvalsh(k).min() < 0.0
+    along = ErrorAlongPath(np.eye(OUTPUTS), PREDICTIONS, open_only=False)
+    for t in range(STEPS):
+        along.arrive(At(t, k))
+        seen = along.seen(np.eye(OUTPUTS))
+        assert np.einsum("mjk,mjk->mj", seen, seen) == pytest.approx(1.0, rel=1e-5)
+        along.step(np.broadcast_to(np.eye(OUTPUTS), (PREDICTIONS, OUTPUTS, OUTPUTS)))
+    assert np.einsum("mjk,mjk->mj", along.carried, along.carried).max() <= STEPS**2

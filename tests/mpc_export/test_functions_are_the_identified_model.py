@@ -254,7 +254,9 @@ def test_uncertainty_travels_as_greybox_propagates_it(kind, monkeypatch):
     monkeypatch.setattr(
         ProcessErrors,
         "together",
-        lambda one, other, **_: np.sqrt(variance(one, one) * variance(other, other)),
+        lambda one, others, **_: np.sqrt(
+            [variance(one, [one])[0] * variance(o, [o])[0] for o in others]
+        ),
     )
     functions, model = exported(kind), KINDS[kind]()
     runner = Filter(model, use_compiler=False)

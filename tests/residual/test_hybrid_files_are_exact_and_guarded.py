@@ -112,6 +112,7 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
     "gp is text": (signed(lambda b: b.update(gp="all of it")), "incomplete"),
     "weights too short": (signed(lambda b: b["gp"]["arrays"]["weights"].pop()), "shape"),
     "unknown channel": (signed(rename), "lift.x"),
+    "less variance": (signed(lambda b: b["gp"].update(variance_factor=[1, -1, 1])), "variance 1"),
     "base edited": (signed(lambda b: b["base"]["values"].update(mass=1.0)), "checksum"),
 }
 

@@ -11,7 +11,8 @@ from greybox.model.model import build_model
 from greybox.residual.learn import feature_sets
 from tests.residual.hybrid_cases import craft, craft_model
 
-WHERE = {f"position.{a}" for a in "xyz"}
+WHERE = {f"position.{a}" for a in "xyz"} | {f"heading.{a}" for a in "xy"}
+"""A wall pushes along an axis of the room: where to in body axes, the heading tells."""
 
 
 def test_the_place_competes_on_request_alone():

@@ -3,6 +3,7 @@ of; where errors say nothing it stays what the filter has."""
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -29,3 +30,18 @@ def test_what_errors_do_not_tell_stays_with_the_filter() -> None:
     loud = replace(model, sensor_noise=3.0 * model.sensor_noise)
     factors = calibrate_horizons(loud, data, horizons=HORIZONS).factors
     assert all(0.8 < f < 1.25 for f in factors.values()), factors
+
+
+def test_a_long_horizon_takes_no_more_memory() -> None:
+    """At 1 kHz half a second is 500 samples, of which five count."""
+    data, model = swings(3, 1, hidden=0.0, period=4.0, seconds=40.0), pendulum_model((3e-3, 3e-3))
+    calibrate_horizons(model, data, horizons=(5,), spacing=0.02)  # whatever is made once
+
+    def peak(horizon: int) -> int:
+        tracemalloc.start()
+        calibrate_horizons(model, data, horizons=(horizon,), spacing=0.02)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    assert peak(200) < 1.5 * peak(5)
