@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from greybox.estimation import propagation
 from greybox.estimation.filtering import Filter
 from greybox.estimation.propagation import Propagator
 from greybox.model.identified import IdentifiedModel
@@ -108,3 +109,16 @@ def test_an_error_that_is_one_along_the_path_is_propagated_exactly():
 def test_an_error_that_changes_along_the_path_is_propagated_too():
     stated, found = stated_and_found(lengthscale=1.5, level=0.4)
     assert stated == pytest.approx(found, rel=0.12)
+
+
+def test_between_two_moments_that_are_close_an_error_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a log at 1 kHz: the places of a path are asked every hundredth of a second."""
+    asked = []
+    own = HybridModel.learned_errors
+    monkeypatch.setattr(HybridModel, "learned_errors", lambda *a: (asked.append(None), own(*a))[1])
+    every, _ = stated_and_found(lengthscale=1.5, level=0.4, size=2)
+    often = len(asked)
+    monkeypatch.setattr(propagation, "HELD", 3 * DT)
+    held, _ = stated_and_found(lengthscale=1.5, level=0.4, size=2)
+    assert len(asked) - often == often / 3
+    assert held == pytest.approx(every, rel=0.1)
