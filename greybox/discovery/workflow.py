@@ -104,10 +104,9 @@ def discover(
     whole: own, alpha, max_effects, adapt, kinematic_noise, per_flight, fixed, hold_sensor_noise,
     attainable, trace, since, effort, seed.
 
-    `faults`: what `check_logs` said about the files (default: the data are checked, which show no
-    faults of their clock; those of the checks in `accept` do not block). `save` gets what is known
-    after every step, "stopped". `executor` fits rivals side by side, with the same result. Raises
-    `DataError`, `ModelError`, `FitError`, `UnknownNameError`.
+    `faults`: what `check_logs` said about the files (default: the data are checked, of which those
+    of the clock do not show; the checks in `accept` do not block). `save` gets what is known after
+    every step. `executor` fits rivals side by side. Raises what a fit does, `UnknownNameError`.
     """
     began = time.perf_counter()
     options, doubts = DiscoverOptions.of(options, choices), list[str]()
