@@ -189,9 +189,9 @@ class Learned(Shown):
 
 def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tuple[str, ...]]:
     """Sets of features to try, by name: body velocity, motion, motion with the direction of
-    gravity, with the rotors; on request the `place` with the heading, and with the motion. Of a model that is
-    not a vehicle's: its states, and states with inputs. Raises `ModelError` for the place where no
-    position is measured."""
+    gravity, with the rotors; on request the `place` with the heading, and with the motion. Of a
+    model that is not a vehicle's: its states, and states with inputs. Raises `ModelError` for the
+    place where no position is measured."""
     full = default_features(model.dynamics)
     if physics_of(model.dynamics) is None:
         if place:

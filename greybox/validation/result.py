@@ -175,8 +175,8 @@ class Validation(Shown):
         return "\n".join([format_tables(self.tables, self.horizons), *self.too_narrow()])
 
     def too_narrow(self) -> list[str]:
-        """A line, or none, of the groups whose stated 95 % regions hold clearly fewer of the errors, each
-        with all horizons where they do."""
+        """A line, or none, of the groups whose stated 95 % regions hold clearly fewer of the
+        errors, each with all horizons where they do."""
         found = []
         for name, errors in () if self.table is None else self.table.groups.items():
             listed = [h for h in self.horizons if errors.lists(h)]
