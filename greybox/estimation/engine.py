@@ -135,6 +135,12 @@ class Engine:
         built = self.dynamics, self.built, self.active, self.use_compiler, self.sensitive
         return _built_again, built
 
+    def command_windows(self, inputs: FloatArray, rows: npt.NDArray[np.int_]) -> FloatArray:
+        """The commands that a step looks at, of samples `rows` (...) of padded `inputs`: (..., n_u
+        k), one of the k commands after the other."""
+        width = self.past + 1 + self.future
+        return np.asarray(inputs[rows[..., None] + np.arange(width)].reshape(*rows.shape, -1))
+
     def select(self, active: tuple[str, ...]) -> Engine:
         """The same engine with the sensitivities of some of its parameters only: nothing is built
         again.

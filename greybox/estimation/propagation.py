@@ -123,7 +123,7 @@ def run_together(
         # Of a craft that cannot be, it may spread beyond all numbers: the verdict tells that.
         with np.errstate(over="ignore", invalid="ignore"):
             for error in learned.values() if (h - 1) % held == 0 else ():
-                error.arrive(states, _windows(engine, record.inputs, at))
+                error.arrive(states, engine.command_windows(record.inputs, at))
             for i, p in enumerate(propagators):
                 total, inner = white[i], c @ white[i] @ c.transpose(0, 2, 1) + p.seen
                 if p.spread.size:
@@ -143,12 +143,6 @@ def run_together(
         yield out
         start[:, :, :na] = found.end_sensitivity[:, :, :na]
         states = found.ends
-
-
-def _windows(engine: Engine, inputs: FloatArray, rows: npt.NDArray[np.int_]) -> FloatArray:
-    """Command windows (m, n_u k) of samples `rows` (m,), a column after the other."""
-    width = engine.past + 1 + engine.future
-    return inputs[rows[:, None] + np.arange(width)].reshape(len(rows), -1)
 
 
 def _kinds(propagators: Sequence[Propagator]) -> dict[bool, Propagator]:

@@ -217,10 +217,6 @@ class LearnedPush(Layer):
         """Place of every learned output in the process noise w of the base."""
 
     @abstractmethod
-    def learned_variance(self, x: Expr, window: Expr) -> Expr:
-        """Variance of the learned push (n_out) at state x (n_x) and command window."""
-
-    @abstractmethod
     def learned_errors(self, states: FloatArray, windows: FloatArray) -> LearnedErrors:
         """Error of the learned push at states (m, n_x) with command windows (m, n_u k), a column of
         the window after the other."""

@@ -21,11 +21,10 @@ from greybox.errors import ModelError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.smoothing import smooth
-from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
-from greybox.residual.features import feature_layout, features, reach
+from greybox.residual.features import feature_function, feature_layout, reach
 from greybox.symbolic import BoolArray, FloatArray, Layout, evaluate
 
 GROUPS = ("force", "torque")
@@ -51,14 +50,6 @@ class Discrepancy:
         """The rows where `rows` (N,) says so."""
         kept = tuple(f for f, r in zip(self.flights, rows, strict=True) if r)
         return replace(self, z=self.z[rows], y=self.y[rows], flights=kept)
-
-
-def feature_function(dynamics: Dynamics, names: Sequence[str]) -> ca.Function:
-    """CasADi function (x, command window) -> features, for many samples."""
-    past, future = dynamics.window
-    x = ca.SX.sym("x", len(dynamics.states))
-    window = ca.SX.sym("U", len(dynamics.inputs), past + 1 + future)
-    return ca.Function("z", [x, window], [ca.densify(features(dynamics, names, x, window))])
 
 
 def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:

@@ -64,10 +64,6 @@ class DrawnPush(LearnedPush):
         """As the hybrid model."""
         return self.hybrid.window
 
-    def learned_variance(self, x: Expr, window: Expr) -> Expr:
-        """None: a draw is one function."""
-        return ca.DM.zeros(len(self.learned_rows), 1)
-
     def learned_errors(self, states: FloatArray, windows: FloatArray) -> LearnedErrors:
         """None: a draw is one function."""
         return NoErrors(shape=(len(states), len(self.learned_rows)))

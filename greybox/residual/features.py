@@ -138,3 +138,11 @@ def features(dynamics: Dynamics, names: Sequence[str], x: Expr, window: Expr) ->
         table["height"] = x[blocks["position"][2]]
     table |= {f"nu{i + 1}": x[at] for i, at in enumerate(blocks.get("rotor", ()))}
     return ca.vertcat(*(table[n] for n in names))
+
+
+def feature_function(dynamics: Dynamics, names: Sequence[str]) -> ca.Function:
+    """CasADi function (x, command window) -> features, for many samples."""
+    past, future = dynamics.window
+    x = ca.SX.sym("x", len(dynamics.states))
+    window = ca.SX.sym("U", len(dynamics.inputs), past + 1 + future)
+    return ca.Function("z", [x, window], [ca.densify(features(dynamics, names, x, window))])

@@ -3,7 +3,7 @@ Gaussian process.
 
 The Gaussian process gives the discrepancy of the physics as force [N] and torque [N m] in body axes
 and enters where the process noise of the same name enters; it is evaluated at the sample and held
-over the step. Its variance does not move the mean; it is offered as `learned_variance` to
+over the step. Its variance does not move the mean; it is offered as `learned_errors` to
 everything that propagates uncertainty.
 
 (Ghoul, Bousserhane and Boufeldja 2026, IJCAS 24(8), phase 3, in the form that a controller can use:
@@ -25,7 +25,7 @@ from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
 from greybox.model.layer import LearnedErrors, LearnedPush
 from greybox.residual.errors_together import errors_at
 from greybox.residual.feature_posterior import FeaturePosterior
-from greybox.residual.features import features, reach
+from greybox.residual.features import feature_function, features, reach
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, evaluate
 
@@ -125,9 +125,7 @@ class HybridModel(LearnedPush):
 
     @cached_property
     def _look(self) -> ca.Function:
-        x = ca.MX.sym("x", len(self.inner.states))
-        window = ca.MX.sym("u", len(self.inner.inputs), sum(self.window) + 1)
-        return ca.Function("look", [x, window], [ca.densify(self.learned_inputs(x, window))])
+        return feature_function(self, self.posterior.inputs.names)
 
     @cached_property
     def _spread(self) -> Expr:

@@ -33,8 +33,7 @@ from greybox.estimation.smoothing import transitions
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_window
 from greybox.model.parameter import Parameter
-from greybox.residual.discrepancy import feature_function
-from greybox.residual.features import features
+from greybox.residual.features import feature_function, features
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.impulses import impulses, pushed
 from greybox.residual.strengths import Normal
@@ -263,8 +262,7 @@ class Paths:
     def windows(self, record: Record, at: IntArray) -> FloatArray:
         """The commands that a step looks at, of samples `at` (...), (..., n_u (past + 1 +
         future))."""
-        width = self.engine.past + 1 + self.engine.future
-        return np.asarray(record.inputs[at[..., None] + np.arange(width)].reshape(*at.shape, -1))
+        return self.engine.command_windows(record.inputs, at)
 
     def cost(self) -> float:
         """Weighted square errors; infinite where a prediction is not finite."""

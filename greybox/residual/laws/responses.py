@@ -29,7 +29,8 @@ from greybox.estimation.gain import Linearisation, linearisation_anywhere
 from greybox.estimation.result import Estimate
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
-from greybox.residual.discrepancy import feature_function, smoothed_features
+from greybox.residual.discrepancy import smoothed_features
+from greybox.residual.features import feature_function
 from greybox.residual.laws.bends import Bends
 from greybox.residual.laws.lagged import remembered_terms
 from greybox.residual.laws.own_terms import own_terms
