@@ -22,7 +22,7 @@ from greybox.commands.judgement import (
     refuse_faults,
     source_option,
 )
-from greybox.commands.model_options import is_given, model_options, names
+from greybox.commands.model_options import fitted_model, is_given, model_options, names
 
 if TYPE_CHECKING:
     from greybox.baselines.compare_bench import Bench
@@ -116,7 +116,6 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.files import write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.compare_report import compare_report, format_table
-    from greybox.residual.files import load_model
 
     console = Console.of(arguments)
     learners = _checked(arguments)  # what is wrong is said before logs are read
@@ -128,7 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
         return refuse_faults(faults, console, "a comparison")
     for warning in faults.accepted_lines():
         print(f"greybox compare: {warning}", file=sys.stderr)
-    fitted = None if arguments.fitted is None else load_model(arguments.fitted)
+    fitted = fitted_model(arguments, arguments.fitted)
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=_rate(arguments, fitted))
     if fitted is not None:
         _demand_trained_on(fitted, arguments.fitted, train)

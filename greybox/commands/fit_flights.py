@@ -45,12 +45,12 @@ class Job:
 def begun(arguments: argparse.Namespace, vehicle: Vehicle, console: Console) -> Job:
     """What is to be fitted and judged. Raises `BadDataError` where a fault of the vehicle file or
     of all flights blocks."""
+    from greybox.commands.model_options import fitted_model
     from greybox.data.checks import check
     from greybox.model.faults import demand_sound, faults_of
-    from greybox.model.identified import IdentifiedModel
 
     horizons, accept = given_horizons(arguments), accepted(arguments.accept)
-    source = None if arguments.source is None else IdentifiedModel.load(arguments.source)
+    source = fitted_model(arguments, arguments.source)
     demand_sound(faults_of(vehicle, accept=accept, file=arguments.vehicle), "a fit")
     prepared, test, files = _flights(arguments, vehicle)
     if source is not None and arguments.manual:

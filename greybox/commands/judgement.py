@@ -228,9 +228,10 @@ def gate(content: Parsed, path: str, *, even_so: bool, use: Use = Use.FLIES) -> 
     from greybox.model.identified import SCHEMA
     from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
 
-    if content.get("schema") != SCHEMA:
-        return Gate(open=True, line=_unsettled(content, path))
     base = content.get("base")
+    linear = base if content.get("kind") == "output-hybrid" and isinstance(base, dict) else content
+    if linear.get("schema") != SCHEMA:
+        return Gate(open=True, line=_unsettled(linear, path))
     data = (base if isinstance(base, dict) else content).get("verdict")
     if data is None:
         missing = f"warning: {path}: {NOT_JUDGED}" if use is Use.FLIES else ""

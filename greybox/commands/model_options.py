@@ -299,6 +299,15 @@ def _choices(arguments: argparse.Namespace) -> FitChoices:
     return cast("FitChoices", {name: v for name, v in said.items() if v is not None})
 
 
+def fitted_model(arguments: argparse.Namespace, path: str | None) -> IdentifiedModel | None:
+    """The physics of a model file, with effects of --effects-file where it has some; None without a
+    path. Raises as `IdentifiedModel.load`: `FileFormatError` for a model with a learned part, whose
+    numbers are not those of the physics alone."""
+    from greybox.model.identified import IdentifiedModel
+
+    return None if path is None else IdentifiedModel.load(path, effects=_own_effects(arguments))
+
+
 def _own_effects(arguments: argparse.Namespace) -> list[Effect]:
     from greybox.model.effects_file import load_effects
 

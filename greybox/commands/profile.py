@@ -116,11 +116,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _read(arguments: argparse.Namespace) -> tuple[IdentifiedModel, Dataset, Path]:
     """The model, the flights that it was fitted to, and the fit.json beside it."""
-    from greybox.errors import DataError
-    from greybox.model.layer import physics_of
+    from greybox.errors import DataError, ModelError
+    from greybox.model.layer import learned_push_of, physics_of
     from greybox.model.noise_free import with_sensor_noise
 
     model = loaded(arguments)
+    if learned_push_of(model.dynamics) is not None:
+        raise ModelError(
+            "a profile lets all other parameters move, and what was learned is none of them",
+            where=arguments.model,
+            expected="the physics alone",
+            fix="name the model file that it was learned for",
+        )
     beside = Path(arguments.model).with_name("fit.json")
     if not beside.exists():
         raise DataError(

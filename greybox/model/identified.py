@@ -355,7 +355,10 @@ def _check_file(data: Parsed, where: str) -> None:
     """Raises `FileFormatError` for another kind of model, or a file that was changed."""
     if data.get("kind") == "hybrid":
         raise FileFormatError(
-            "a model with a learned part", where=where, fix="read it with greybox.load"
+            "a model with a learned part",
+            where=where,
+            expected="the physics alone",
+            fix="name the model file that it was learned for; greybox.load reads both",
         )
     if data.get("kind") not in KINDS:
         raise FileFormatError(

@@ -44,7 +44,7 @@ def load_model(
         raise FileFormatError(
             "a predictor of outputs, not a model of motion",
             where=where,
-            fix="read it with OutputHybrid.load",
+            fix="learn.json beside it says what it is worth; greybox.load and greybox export take it",
         )
     if data.get("kind") != "hybrid":
         return IdentifiedModel.from_dict(data, where=where, effects=effects, sensors=sensors)

@@ -197,6 +197,16 @@ def test_a_linear_model_that_did_not_converge_says_so_wherever_it_goes(
     assert "Beware" in (text := (out / "README.md").read_text()) and note[1:] in text
 
 
+def test_one_step_errors_learned_on_a_linear_model_are_not_sent_to_validate() -> None:
+    """`validate` does not take them: they are judged where they were learned."""
+    base = {"schema": "greybox.linear_model/1"}
+    content: dict[str, object] = {"schema": "greybox.model/1", "kind": "output-hybrid"}
+    assert gate({**content, "base": base}, "h.json", even_so=False).line == ""
+    unsettled = {**base, "unsettled": UNSETTLED}
+    found = gate({**content, "base": unsettled}, "h.json", even_so=False)
+    assert found.line == f"warning: h.json: {UNSETTLED}"
+
+
 def test_a_bundle_carries_a_verdict_that_is_not_usable(tmp_path: Path) -> None:
     path = written(tmp_path, Outcome.NOT_USABLE)
     out = tmp_path / "out"

@@ -4,6 +4,7 @@ and cited."""
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -15,12 +16,15 @@ from greybox.excitation.hover import Hover
 from greybox.excitation.injection import rich_excitation
 from greybox.model.effects_file import load_effects
 from greybox.model.identified import IdentifiedModel
+from greybox.model.model import PhysicsModel
+from greybox.model.vehicle import read_vehicle
 from greybox.plants.flight_log import fly, member, write_log
 from greybox.plants.presets import controller_for
 from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
 from tests.friction import FRICTION
 from tests.one_run import results_of_one_run
+from tests.residual import hybrid_cases
 
 
 def valid(kind: str, content: dict) -> dict:
@@ -124,3 +128,27 @@ def test_a_bad_effects_file_is_one_line_and_exit_code_two(
         assert "bad.py:16" in shown
         assert "omeg" in shown
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["fit", "compare"])
+def test_a_model_with_an_own_effect_is_read_with_its_file(
+    command: str,
+    files: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """--from and --fitted ask for the effects file by name, and take it."""
+    monkeypatch.chdir(files)
+    vehicle = read_vehicle("v.toml")
+    own = PhysicsModel(vehicle=vehicle).with_effect("motor_lag", *load_effects("friction.py"))
+    path = tmp_path / "model.json"
+    replace(hybrid_cases.craft_model(own), trained_on=("other",)).save(path)
+    option, test = {"fit": ("--from", []), "compare": ("--fitted", ["--test", "b.csv"])}[command]
+    logs = ["--train", "nowhere.csv" if command == "fit" else "a.csv", *test]
+    line = [command, "--vehicle", "v.toml", option, str(path), *logs, "--out", str(tmp_path / "o")]
+    assert main(line) == 2
+    assert "--effects-file friction.py" in capsys.readouterr().err
+    assert main([*line, "--effects-file", "friction.py"]) == 2
+    said = capsys.readouterr().err
+    assert "friction" not in said and ("nowhere.csv" in said or "other flights" in said)
