@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from greybox.residual.learn import Learned
     from greybox.validation.options import HorizonChoices
 
+JUDGING = 0.95
+"""Share of the work that is done when the model is judged."""
+
 
 def add(subparsers: Subcommands) -> None:
     """Declare the command."""
@@ -249,7 +252,7 @@ def _judge_and_report(
         base=shlex.quote(arguments.model),
         horizons=horizons,
         adapt=arguments.adapt,
-        say=lambda text: console.share(text, 1.0),
+        say=lambda text: console.share(text, JUDGING),
     )
     hybrid = replace(learned.model, verdict=verdict)
     save_model(hybrid, out / "hybrid.json")

@@ -13,7 +13,7 @@ from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.validation_sections import first_line, headline_groups
 from greybox.report.words import number
-from greybox.residual.document import HALVES, BeforeAfter, Half, LearnDocument
+from greybox.residual.document import HALVES, BeforeAfter, CandidateRow, Half, LearnDocument
 from greybox.shown import in_degrees
 
 if TYPE_CHECKING:
@@ -162,11 +162,10 @@ def _candidates(report: Report, content: LearnDocument) -> None:
         else "over the horizon of its training"
     )
     body: list[list[Cell]] = []
-    for c in sorted(content["candidates"], key=lambda c: -c["held_out_gain"]):
+    for c in sorted(content["candidates"], key=_rank):
         chosen = c["name"] == content["chosen"] and not content["null"]
-        body.append(
-            [c["name"], f"{number(100 * c['held_out_gain'], 3)} %", "chosen" if chosen else None]
-        )
+        mark = "chosen" if chosen else "its features saw these" if _saw(c) else None
+        body.append([c["name"], f"{number(100 * c['held_out_gain'], 3)} %", mark])
     report.table(
         ["candidate", "held-out gain", ""],
         body,
@@ -176,6 +175,15 @@ def _candidates(report: Report, content: LearnDocument) -> None:
         "(one flight after the other; stretches of a flight where there are few). 0 %: no output "
         "was worth switching on.",
     )
+
+
+def _saw(candidate: CandidateRow) -> bool:
+    return candidate.get("features_saw", False)
+
+
+def _rank(candidate: CandidateRow) -> tuple[bool, float]:
+    """By what is saved; what features saved that saw the flights is no rival, and last."""
+    return _saw(candidate), -candidate["held_out_gain"]
 
 
 def _cells(judged: ValidationDocument | None) -> dict[tuple[str, int], HorizonCell]:

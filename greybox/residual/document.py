@@ -12,10 +12,12 @@ from greybox.validation.result import ValidationDocument
 
 
 class CandidateRow(TypedDict):
-    """A set of features, and the share of the held-out cost that it saves."""
+    """A set of features, and the share of the held-out cost that it saves; `features_saw`: with
+    features that saw the flights which judge it, for a better candidate stood without."""
 
     name: str
     held_out_gain: float
+    features_saw: NotRequired[bool]
 
 
 class LearnedRow(TypedDict):

@@ -78,7 +78,9 @@ class HybridModel(LearnedPush):
     def name(self) -> str:
         """Name of the inner model and what was learned."""
         label = self.posterior.method if isinstance(self.posterior, FeaturePosterior) else "GP"
-        return f"{self.inner.name} + {label}({', '.join(self.posterior.outputs.names)})"
+        names, active = self.posterior.outputs.names, self.posterior.active
+        learned = [n for n, on in zip(names, active, strict=True) if on]
+        return f"{self.inner.name} + {label}({', '.join(learned) or 'nothing'})"
 
     def file_of(self, model: IdentifiedModel) -> dict[str, Json]:
         """The model file of the inner model and the posterior beside it, with a checksum."""

@@ -33,11 +33,11 @@ from greybox.model.faults import demand_sound
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
 from greybox.model.verdict import demand_finished
-from greybox.progress import in_notebooks
+from greybox.progress import in_notebooks, onward
 from greybox.residual.beside import better, refit_beside
 from greybox.residual.candidates import FeatureMaker, gp_candidates
 from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
-from greybox.residual.document import LearnDocument, MovedRow
+from greybox.residual.document import CandidateRow, LearnDocument, MovedRow
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features, feature_layout, reach, with_lags
 from greybox.residual.hybrid import HybridModel
@@ -82,7 +82,7 @@ class Learned(Shown):
             "kind": "dynamics",
             "learner": posterior.method if isinstance(posterior, FeaturePosterior) else GP,
             "null": self.null,
-            "candidates": [{"name": n, "held_out_gain": g} for n, g in self.candidates.items()],
+            "candidates": [self._candidate(n, g) for n, g in self.candidates.items()],
             "chosen": self.chosen,
             "features": list(posterior.inputs.names),
             "outputs": [
@@ -120,6 +120,10 @@ class Learned(Shown):
             document["refit"] = self.moved
         return document
 
+    def _candidate(self, name: str, gain: float) -> CandidateRow:
+        row: CandidateRow = {"name": name, "held_out_gain": gain}
+        return {**row, "features_saw": True} if name in self.fit.unasked else row
+
     @property
     def moved(self) -> list[MovedRow]:
         """The physics' estimates before and after, where it was refitted beside the learned part,
@@ -147,7 +151,12 @@ class Learned(Shown):
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per candidate: the share of its held-out cost that it saves."""
         return [
-            {"candidate": n, "saved on left-out flights": g, "chosen": n == self.chosen}
+            {
+                "candidate": n,
+                "saved on left-out flights": g,
+                **({"its features saw them": n in self.fit.unasked} if self.fit.unasked else {}),
+                "chosen": n == self.chosen,
+            }
             for n, g in self.candidates.items()
         ]
 
@@ -177,7 +186,9 @@ class Learned(Shown):
                 "the physics was not refitted: left-out flights want no other, or none was found"
             )
         lines += [
-            f"  candidate {n}: {g:+.2%} on left-out flights" for n, g in self.candidates.items()
+            f"  candidate {n}: {g:+.2%} on left-out flights"
+            + (", which its features saw" if n in self.fit.unasked else "")
+            for n, g in self.candidates.items()
         ]
         factors = ", ".join(f"{n} x {f:.2f}" for n, f in self.calibration.factors.items())
         lines.append(
@@ -268,7 +279,7 @@ def learn_checked(
 ) -> Learned:
     """`learn` on flights whose faults were looked for."""
     began, o = time.perf_counter(), LearnOptions.of(options, choices)
-    say = progress or (lambda _text, _share: None)
+    say = onward(progress or (lambda _text, _share: None))
     other = _learner(model, o.learner, o.points, o.kernel)
     _check_features(model, o.features, o.place)
     say("disturbance states", 0.0)

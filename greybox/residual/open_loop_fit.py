@@ -68,7 +68,8 @@ class OpenLoopFit:
     nothing was worth learning).
 
     `unseen`: flight -> squared errors (C,) of the channel groups with weights that have not seen
-    its kind of flight, weighed by `scales` (H, n_e). Both are empty for null."""
+    its kind of flight, weighed by `scales` (H, n_e). Both are empty for null. `unasked`: candidates
+    whose share saved is that of features that saw the flights which judge them."""
 
     posterior: Candidate
     strengths: Mapping[str, float]
@@ -79,6 +80,7 @@ class OpenLoopFit:
     status: str
     unseen: Mapping[str, FloatArray] = field(default_factory=dict)
     scales: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    unasked: frozenset[str] = frozenset()
 
 
 def fit_open_loop(
@@ -118,15 +120,15 @@ def fit_open_loop(
             )
             for label, own in parts.items()
         }
-        best = max(found, key=lambda label: found[label][1])
+        best, unasked = max(found, key=lambda label: found[label][1]), frozenset[str]()
         if maker is not None:
-            best = _judged_apart(paths, maker, found, cut, strengths, say)
+            best, unasked = _judged_apart(paths, maker, found, cut, strengths, say)
         gains = {label: gain for label, (_, gain) in found.items()}
         chosen, gain = found[best]
         own = parts.pop(best)
         parts.clear()
         result = _fitted(paths, bases[best], own, chosen, cut, iterations, say)
-    return replace(result, held_out_gain=gain), best, gains
+    return replace(result, held_out_gain=gain, unasked=unasked), best, gains
 
 
 def fit_again(
@@ -244,8 +246,9 @@ def _judged_apart(
     cut: _Cut,
     strengths: Sequence[float],
     say: Progress,
-) -> str:
-    """The best candidate that stands with features made without the flights that judge it.
+) -> tuple[str, frozenset[str]]:
+    """The best candidate that stands with features made without the flights that judge it, and
+    those that promised something and were not asked, for a better one stands.
 
     Changes `found` (strengths, share saved) of those that were asked to what they saved so; a
     candidate that the half of the flights does not offer saves nothing.
@@ -259,10 +262,9 @@ def _judged_apart(
         maker.flights,
     )
     order = sorted(found, key=lambda label: found[label][1], reverse=True)
-    for label in order:
+    hopeful = [label for label in order if np.isfinite(found[label][0]).any()]
+    for asked, label in enumerate(hopeful, 1):
         chosen = found[label][0]
-        if not np.isfinite(chosen).any():
-            continue
         say(f"{label}: again without the flights that judge it", 0.6)
         made = {str(h): maker.again(label, rows) for h, rows in enumerate(halves.rows)}
         bases = {h: Basis(paths.model, c) for h, c in made.items() if c is not None}
@@ -276,8 +278,8 @@ def _judged_apart(
                 both, by_channel(parts["0"], "cost"), outputs, strengths, bases["0"].members
             )
         if np.isfinite(found[label][0]).any():
-            return label
-    return order[0]
+            return label, frozenset(hopeful[asked:])
+    return order[0], frozenset()
 
 
 def _iterate(
