@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from greybox.errors import DataError, ModelError
 from greybox.files import Json, append_json_line, of_another_version, write_atomic
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ class Journal:
         self._path, self._given = path, dict(given)
         self._state = _sha(self._given)
         self._there: dict[str, int] = {}
-        self._began = self._closed = False
+        self._began = self._closed = self._folder = False
         self.going_on, self.spared, self.kept, self._inner = "", 0.0, 0, 0.0
         with contextlib.suppress(FileNotFoundError):
             self._read()
@@ -163,6 +164,7 @@ class Journal:
         try:
             if not self._began and not self._closed:
                 head = {"schema": SCHEMA, "given": self._given}
+                self._folder = not self._path.parent.exists()
                 write_atomic(self._path, json.dumps(head) + "\n")
                 self._began = True
             if not self._closed and self._path.stat().st_size < MOST:
@@ -173,10 +175,13 @@ class Journal:
         return told
 
     def end(self) -> None:
-        """The work is done: nothing is left to go on with."""
+        """The work is done, or would end the same way again: nothing is left to go on with, nor a
+        folder that was made for it and is empty."""
         if self._began:
             with contextlib.suppress(OSError):
                 self._path.unlink()
+                if self._folder:
+                    self._path.parent.rmdir()
 
 
 _CURRENT: contextvars.ContextVar[Journal | None] = contextvars.ContextVar("journal", default=None)
@@ -185,12 +190,16 @@ _CURRENT: contextvars.ContextVar[Journal | None] = contextvars.ContextVar("journ
 @contextlib.contextmanager
 def kept_in(path: Path, given: Mapping[str, str]) -> Iterator[Journal]:
     """Answers within are kept in the journal at `path`, and taken from there; it goes where the
-    work ends well. `given`: all that the work depends on, name -> checksum or text. Threads and
-    processes started within keep nothing."""
+    work ends well, or refuses what it was given (`DataError`, `ModelError`), as it would again.
+    `given`: all that the work depends on, name -> checksum or text. Threads and processes started
+    within keep nothing."""
     journal = Journal(path, given)
     token = _CURRENT.set(journal)
     try:
         yield journal
+    except (DataError, ModelError):
+        journal.end()
+        raise
     finally:
         _CURRENT.reset(token)
     journal.end()

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from greybox import journal
+from greybox.errors import DataError, ModelError
 from greybox.estimation.status import Code, Status
 from greybox.symbolic import FloatArray
 
@@ -217,6 +218,17 @@ def test_time_is_spared_once_where_an_answer_asked_in_its_turn(tmp_path: Path) -
         with journal.apart("shared"):
             journal.answers(["fit"], inner, float)
         assert 0.2 <= journal.spared() < 0.4
+
+
+@pytest.mark.parametrize("error", [DataError("too short"), ModelError("not finite"), OSError()])
+def test_what_is_refused_would_be_refused_again_and_leaves_nothing(
+    error: Exception, tmp_path: Path
+) -> None:
+    with contextlib.suppress(type(error)), journal.kept_in(tmp_path / "out" / "j", GIVEN):
+        assert len(Asked().of([1.0, 2.0])) == 2
+        raise error
+    assert (tmp_path / "out" / "j").exists() is isinstance(error, OSError)
+    assert (tmp_path / "out").exists() is isinstance(error, OSError)
 
 
 def test_without_a_journal_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from greybox.commands.command_line import Subcommands, typed
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
+from greybox.commands.going_on import going_on
 from greybox.commands.judgement import (
     accept_option,
     adapt_option,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from greybox.model.verdict import Verdict
     from greybox.residual.document import LearnDocument
     from greybox.residual.learn import Learned
+    from greybox.residual.learners import Learner
     from greybox.validation.options import HorizonChoices
 
 JUDGING = 0.95
@@ -50,7 +52,8 @@ def add(subparsers: Subcommands) -> None:
         "the physics with "
         "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, or "
         "refused, as the model is not finished, 2: "
-        "bad input.",
+        "bad input, 130: interrupted (the same command goes on; on a linear model it starts "
+        "again).",
     )
     p.add_argument(
         "model",
@@ -146,6 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.learn_output import is_linear, run_output
     from greybox.errors import GreyboxError
     from greybox.model.layer import physics_of
+    from greybox.residual.learners import GP, learner_for
 
     demand_adapt(arguments)
     _points(arguments.points)  # what is wrong is said before logs are read
@@ -157,6 +161,7 @@ def run(arguments: argparse.Namespace) -> int:
     if linear:
         return run_output(arguments)
     model, console = loaded(arguments), Console.of(arguments)
+    learner = learner_for(arguments.learner, _points(arguments.points), arguments.kernel)
     physics = physics_of(model.dynamics)
     horizons = given_horizons(arguments, own=physics is None)
     accepted_faults: list[str] = []
@@ -171,18 +176,19 @@ def run(arguments: argparse.Namespace) -> int:
             got=f"the model {model.name} of your own",
             fix="leave it out",
         )
-    return _learned(arguments, console, model, horizons, accepted_faults)
+    return _learned(arguments, console, model, learner or GP, horizons, accepted_faults)
 
 
 def _learned(
     arguments: argparse.Namespace,
     console: Console,
     model: IdentifiedModel,
+    learner: Learner | str,
     horizons: HorizonChoices,
     warnings: Sequence[str],
 ) -> int:
-    """Read the flights, learn from them, judge and report, with `warnings` first. Returns the exit
-    code."""
+    """Read the flights, learn from them, judge and report, with `warnings` first; what was found
+    until an interrupt is kept. Returns the exit code."""
     from greybox.commands.learn_output import feature_names
     from greybox.data.halves import demand_disjoint
     from greybox.residual.learn import learn_checked
@@ -192,30 +198,31 @@ def _learned(
         for paths in (arguments.train, arguments.test)
     )
     demand_disjoint(train.files, test.files)
-    learned = learn_checked(
-        model,
-        train,
-        features=feature_names(arguments.inputs),
-        place=arguments.place,
-        kernel=arguments.kernel,
-        points=_points(arguments.points),
-        learner=arguments.learner,
-        seed=arguments.seed,
-        refit=arguments.refit,
-        progress=console.share,
-    )
-    content = _content(learned, model, train)
-    content["warnings"][:0] = warnings
-    return _judge_and_report(
-        arguments,
-        console,
-        learned,
-        content,
-        model=model,
-        train=train,
-        test=test,
-        horizons=horizons,
-    )
+    with going_on(arguments, console):
+        learned = learn_checked(
+            model,
+            train,
+            features=feature_names(arguments.inputs),
+            place=arguments.place,
+            kernel=arguments.kernel,
+            points=_points(arguments.points),
+            learner=learner,
+            seed=arguments.seed,
+            refit=arguments.refit,
+            progress=console.share,
+        )
+        content = _content(learned, model, train)
+        content["warnings"][:0] = warnings
+        return _judge_and_report(
+            arguments,
+            console,
+            learned,
+            content,
+            model=model,
+            train=train,
+            test=test,
+            horizons=horizons,
+        )
 
 
 def _judge_and_report(

@@ -15,13 +15,14 @@ import numpy as np
 from greybox.errors import GreyboxError, ModelError
 from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior, silent_features
+from greybox.residual.kept import trained_once
 from greybox.residual.kernels import Kernel
 from greybox.residual.learners import Learner, LooksBack
 from greybox.residual.learners.learner import Features, is_centred, is_ensemble
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
-from greybox.residual.training_report import TrainingDocument
+from greybox.residual.training_report import TrainedGP, TrainingDocument
 from greybox.residual.weight_space import Candidate
 from greybox.symbolic import BoolArray, FloatArray, evaluate
 
@@ -41,11 +42,12 @@ def gp_candidates(
 ) -> tuple[dict[str, GPPosterior], list[TrainingDocument]]:
     """Of every set of features a process by marginal likelihood and one with a broad kernel, and
     how they were trained."""
-    found: dict[str, GPPosterior] = {}
-    reports: list[TrainingDocument] = []
-    for i, (label, seen) in enumerate(sets.items()):
-        say(f"marginal likelihood: {label}", i / len(sets))
-        trained = train_gp(
+    labels = list(sets)
+
+    def trained(label: str) -> TrainedGP:
+        say(f"marginal likelihood: {label}", labels.index(label) / len(sets))
+        seen = sets[label]
+        return train_gp(
             seen.z,
             seen.y,
             inputs=seen.inputs,
@@ -58,11 +60,15 @@ def gp_candidates(
             hold_out=0.25 if points == "auto" else 0.0,
             subset=SUBSET,
         )
-        reports.append({"candidate": label, **trained.report.to_dict()})
-        size = trained.posterior.points if points == "auto" else int(points)
-        if any(trained.posterior.active):
-            found[f"{label}, marginal likelihood"] = trained.posterior
-        found[f"{label}, broad kernel"] = broad_posterior(seen, points=size, seed=seed)
+
+    found: dict[str, GPPosterior] = {}
+    reports: list[TrainingDocument] = []
+    for label, (posterior, report) in zip(labels, trained_once(labels, trained), strict=True):
+        reports.append({"candidate": label, **report})
+        size = posterior.points if points == "auto" else int(points)
+        if any(posterior.active):
+            found[f"{label}, marginal likelihood"] = posterior
+        found[f"{label}, broad kernel"] = broad_posterior(sets[label], points=size, seed=seed)
     return found, reports
 
 

@@ -29,6 +29,7 @@ from greybox.data import Dataset, Flight
 from greybox.data.checks import check
 from greybox.errors import GreyboxError, ModelError
 from greybox.estimation.options import says_choices
+from greybox.journal import spared
 from greybox.model.faults import demand_sound
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import LongerWindow, physics_of
@@ -41,6 +42,7 @@ from greybox.residual.document import CandidateRow, LearnDocument, MovedRow
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features, feature_layout, reach, with_lags
 from greybox.residual.hybrid import HybridModel
+from greybox.residual.kept import fitted_once
 from greybox.residual.kernels import split_name
 from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.noise_levels import refit_noise
@@ -288,8 +290,10 @@ def learn_checked(
     seen = _seen(base, train, o.features, o.place, other)
     offered = _offered(seen.sets, other, o.kernel, o.points, o.seed, _within(say, 0.1, 0.3))
     width = 0.3 if o.refit else 0.4
-    result, chosen, gains = fit_open_loop(
-        seen.model, offered.found, train, maker=offered.maker, progress=_within(say, 0.4, width)
+    result, chosen, gains = fitted_once(
+        lambda: fit_open_loop(
+            seen.model, offered.found, train, maker=offered.maker, progress=_within(say, 0.4, width)
+        )
     )
     physics = base
     if o.refit:
@@ -306,7 +310,7 @@ def learn_checked(
         candidates=gains,
         chosen=chosen,
         calibration=calibration,
-        seconds=time.perf_counter() - began,
+        seconds=time.perf_counter() - began + spared(),
         training=offered.reports,
     )
 

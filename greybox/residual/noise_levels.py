@@ -26,6 +26,7 @@ from greybox.estimation.filtering import at_reference
 from greybox.estimation.predictor import Block
 from greybox.estimation.record import make_record
 from greybox.estimation.settling import Settling
+from greybox.estimation.solved import solved
 from greybox.estimation.solver import Value
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.unknown import Unknown
@@ -58,7 +59,7 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
         found = _one_by_one(likelihood.cost, own, before) if np.isfinite(before) else own
         return replace(model, process_noise=found)
     solver = LevenbergMarquardt(tolerance=ARRIVED)
-    factors, _ = solver.solve(likelihood, np.zeros(likelihood.n))  # never worse than they start
+    factors, _ = solved(likelihood, solver, np.zeros(likelihood.n))  # never worse than they start
     return replace(model, process_noise=likelihood.levels(factors))
 
 
