@@ -287,7 +287,10 @@ def _base(base: BasePredictor, dt: float | None) -> PredictorModel:
 
 
 def _hybrid(hybrid: OutputHybrid, dt: float | None) -> PredictorModel:
-    """The paper's hybrid. What is left of the innovations that the GP foretells is its noise."""
+    """The paper's hybrid; its base alone where nothing was learned. What is left of the innovations
+    that the GP foretells is its noise."""
+    if not any(hybrid.posterior.active):
+        return _base(hybrid.base, dt)
     base, learned = hybrid.base, hybrid.posterior
     form = BaseForm(base=base, looked_at=tuple(learned.inputs.names))
     form.check()

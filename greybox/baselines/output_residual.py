@@ -48,7 +48,7 @@ from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.training_report import TrainingDocument
-from greybox.residual.weight_space import Candidate, learned_numbers
+from greybox.residual.weight_space import Candidate, called, learned_numbers
 from greybox.shown import Row, Shown
 from greybox.symbolic import FloatArray, Layout, Signal
 
@@ -98,8 +98,7 @@ class OutputHybrid(Shown):
     @property
     def name(self) -> str:
         """Name of the base model and what was learned."""
-        learned = self.posterior.method if isinstance(self.posterior, FeaturePosterior) else "GP"
-        return f"{self.base.model.name} + output {learned}"
+        return f"{self.base.model.name} + output {called(self.posterior)}"
 
     @property
     def outputs(self) -> tuple[str, ...]:

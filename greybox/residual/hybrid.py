@@ -27,6 +27,7 @@ from greybox.residual.errors_together import errors_at
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import feature_function, features, reach
 from greybox.residual.posterior import GPPosterior
+from greybox.residual.weight_space import called
 from greybox.symbolic import Expr, FloatArray, evaluate
 
 
@@ -77,10 +78,7 @@ class HybridModel(LearnedPush):
     @property
     def name(self) -> str:
         """Name of the inner model and what was learned."""
-        label = self.posterior.method if isinstance(self.posterior, FeaturePosterior) else "GP"
-        names, active = self.posterior.outputs.names, self.posterior.active
-        learned = [n for n, on in zip(names, active, strict=True) if on]
-        return f"{self.inner.name} + {label}({', '.join(learned) or 'nothing'})"
+        return f"{self.inner.name} + {called(self.posterior)}"
 
     def file_of(self, model: IdentifiedModel) -> dict[str, Json]:
         """The model file of the inner model and the posterior beside it, with a checksum."""

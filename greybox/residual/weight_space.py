@@ -51,6 +51,13 @@ def learned_numbers(post: Candidate) -> int:
     return int(post.support.size + post.weights.size) + len(post.outputs) * (len(post.inputs) + 2)
 
 
+def called(post: Candidate) -> str:
+    """What it is and what was learned, in a name: "GP(force.x, force.y)"."""
+    label = post.method if isinstance(post, FeaturePosterior) else "GP"
+    learned = [n for n, on in zip(post.outputs.names, post.active, strict=True) if on]
+    return f"{label}({', '.join(learned) or 'nothing'})"
+
+
 def factors(post: Candidate) -> list[FloatArray]:
     """L_j per output; nothing of features, which are white already."""
     if isinstance(post, FeaturePosterior):

@@ -4,16 +4,20 @@ is not linear."""
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 
 import jsonschema
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.baselines.output_residual import OutputHybrid, read_linear
 from greybox.cli import main
 from greybox.data.logs import read_log
 from greybox.errors import FileFormatError
+from greybox.files import read_json
+from greybox.residual.weight_space import silent
 from tests.one_run import results_of_one_run
 
 pytest.importorskip("gpytorch")
@@ -87,6 +91,21 @@ def test_the_page_is_there_and_the_file_predicts_what_was_reported(folder):
         "one_step"
     ]["channels"]["speed"]
     assert rmse == pytest.approx(told["mse"] ** 0.5, rel=0.1)
+
+
+def test_where_nothing_was_learned_a_bundle_is_the_linear_model_alone(folder, tmp_path):
+    """Without states and parameters of features that nobody looks at, and without the name."""
+    hybrid = OutputHybrid.load(folder[0] / "hybrid" / "hybrid.json")
+    assert hybrid.name.endswith("+ output GP(speed)")
+    null = replace(hybrid, posterior=silent(hybrid.posterior))
+    assert null.name.endswith("+ output GP(nothing)")
+    told = read_json(gb.export(null, tmp_path / "null", targets=["casadi"]) / "manifest.json")
+    alone = read_json(
+        gb.export(hybrid.base, tmp_path / "base", targets=["casadi"]) / "manifest.json"
+    )
+    for part in ("states", "parameters", "functions"):
+        assert [x["name"] for x in told[part]] == [x["name"] for x in alone[part]]
+    assert told["learned"] == []
 
 
 def test_channels_come_from_the_fit_or_from_the_user(folder, tmp_path):
