@@ -43,7 +43,6 @@ from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features, feature_layout, reach, with_lags
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kept import fitted_once
-from greybox.residual.kernels import split_name
 from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_again, fit_open_loop
@@ -323,7 +322,6 @@ def _learner(
         raise ModelError(
             "the model has a learned part already", fix="learn from the model file of the fit"
         )
-    split_name(kernel)
     return learner_for(learner, points, kernel)
 
 

@@ -4,6 +4,7 @@ one frozen record each."""
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypedDict, Unpack
@@ -16,6 +17,16 @@ from greybox.residual.posterior import METHODS
 
 NOISE = ("white", "per-group", "auto")
 PRIOR_MEANS = ("zero", "constant")
+
+
+def demand_points(points: object) -> None:
+    """Raise `ModelError` for a number of support points or features that is none."""
+    if points != "auto" and (not isinstance(points, numbers.Integral) or points < 1):
+        raise ModelError(
+            "the number of support points",
+            expected='a positive whole number or "auto"',
+            got=repr(points),
+        )
 
 
 class LearnChoices(TypedDict, total=False):
@@ -32,7 +43,7 @@ class LearnChoices(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class LearnOptions:
-    """All choices of learning."""
+    """All choices of learning. Raises `ModelError` and `UnknownNameError` for what there is not."""
 
     features: Sequence[str] | None = None
     """Inputs of what is learned; None: the sets of `feature_sets` compete."""
@@ -50,6 +61,10 @@ class LearnOptions:
     """Seed of subsets and restarts."""
     refit: bool = False
     """Whether the physics is refitted beside what is learned; kept where left-out flights want it."""
+
+    def __post_init__(self) -> None:
+        split_name(self.kernel)
+        demand_points(self.points)
 
     @classmethod
     def of(cls, options: LearnOptions | None, choices: LearnChoices) -> LearnOptions:
@@ -130,13 +145,8 @@ class GPOptions:
         ):
             if value not in known:
                 raise UnknownNameError(kind, value, known)
-        points, factor = self.points, self.noise_inflation
-        if points != "auto" and (isinstance(points, str) or points < 1):
-            raise ModelError(
-                "the number of support points",
-                expected='a positive number or "auto"',
-                got=repr(points),
-            )
+        demand_points(self.points)
+        factor = self.noise_inflation
         if factor != "auto" and (isinstance(factor, str) or not 1.0 <= factor < math.inf):
             raise ModelError(
                 "noise_inflation", expected='"auto" or a factor of at least 1', got=repr(factor)

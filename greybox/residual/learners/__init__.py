@@ -13,6 +13,7 @@ from greybox.residual.learners.neural import NeuralLastLayer
 from greybox.residual.learners.random_features import RandomFeatures
 from greybox.residual.learners.sparse_law import SparseLaw
 from greybox.residual.learners.temporal_convolution import TemporalConvolution
+from greybox.takes import shown
 
 __all__ = ["GP", "LEARNERS", "Features", "Learner", "LooksBack", "learner_for", "learner_of"]
 
@@ -52,11 +53,17 @@ def learner_of(name: str) -> Learner | None:
                 where=name,
                 fix="a class without arguments",
             ) from None
+    return _demanded(made, where=name)
+
+
+def _demanded(made: object, where: str | None = None) -> Learner:
+    """What was made or given, which is a learner. Raises `ModelError`."""
     if not isinstance(made, Learner):
         raise ModelError(
             "not a learner",
-            where=name,
+            where=where,
             expected="a name, and features(x, y, points, seed)",
+            got=shown(made),
             fix="see docs/own_learner.md",
         )
     return made
@@ -65,9 +72,10 @@ def learner_of(name: str) -> Learner | None:
 def learner_for(learner: str | Learner, points: int | str, kernel: str) -> Learner | None:
     """The learner by name or as it is; None for the Gaussian process.
 
-    Raises as `learner_of`, `ModelError` for choices that only a Gaussian process has.
+    Raises as `learner_of`, `ModelError` for what is no learner, and for choices that only a Gaussian
+    process has.
     """
-    other = learner_of(learner) if isinstance(learner, str) else learner
+    other = learner_of(learner) if isinstance(learner, str) else _demanded(learner)
     if other is None:
         return None
     if points == "auto":
