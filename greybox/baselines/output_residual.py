@@ -48,7 +48,7 @@ from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.training_report import TrainingDocument
-from greybox.residual.weight_space import Candidate, called, learned_numbers
+from greybox.residual.weight_space import Candidate, called, learned_numbers, read_part, written
 from greybox.shown import Row, Shown
 from greybox.symbolic import FloatArray, Layout, Signal
 
@@ -158,9 +158,7 @@ class OutputHybrid(Shown):
             "kind": KIND,
             "name": self.name,
             **base.to_dict(),
-            "learned"
-            if isinstance(self.posterior, FeaturePosterior)
-            else "gp": self.posterior.to_dict(),
+            **written(self.posterior),
             "train_seconds": self.train_seconds,
             "report": {**self.report},
         }
@@ -190,14 +188,9 @@ class OutputHybrid(Shown):
             )
         try:
             base = from_dict(body, where=where, effects=effects)
-            learned: Candidate = (
-                GPPosterior.from_dict(body["gp"])
-                if "gp" in body
-                else FeaturePosterior.from_dict(body["learned"])
-            )
             return OutputHybrid(
                 base=base,
-                posterior=learned,
+                posterior=read_part(body),
                 train_seconds=float(body["train_seconds"]),
                 report=body["report"],
             )

@@ -90,7 +90,7 @@ def effects_of(
                 f"the model has the effect {name} of {file or 'Python code of your own'}, which it "
                 "does not hold",
                 where=where,
-                fix=f"IdentifiedModel.load(path, effects={load}){option}",
+                fix=f"greybox.load(path, effects={load}){option}",
             )
         source = have[name].source
         if sha256 is not None and (source is None or source.sha256 != sha256):

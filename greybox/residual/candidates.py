@@ -211,8 +211,7 @@ def _spread(values: FloatArray) -> FloatArray:
 def broad_posterior(seen: Discrepancy, *, points: int, seed: int) -> GPPosterior:
     """A Gaussian process with a broad linear-plus-SE kernel, ready for `fit_open_loop` (its weights
     are still zero)."""
-    mean, scale = seen.z.mean(axis=0), seen.z.std(axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
+    mean, scale, size = seen.z.mean(axis=0), _spread(seen.z), _spread(seen.y)
     n_in, n_out = seen.z.shape[1], seen.y.shape[1]
     kernel = Kernel(
         family="se",
@@ -224,8 +223,6 @@ def broad_posterior(seen: Discrepancy, *, points: int, seed: int) -> GPPosterior
     x = (seen.z - mean) / scale
     support = place_points([kernel] * n_out, np.full(n_out, 0.1), x, points, seed=seed)
     m = len(support)
-    size = seen.y.std(axis=0)
-    size = np.where(size > 0, size, 1.0)
     return GPPosterior(
         inputs=seen.inputs,
         outputs=seen.outputs,

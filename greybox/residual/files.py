@@ -18,9 +18,8 @@ from greybox.files import MALFORMED, Json, Parsed, checksum, read_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel
 from greybox.model.sensor import Sensor
-from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
-from greybox.residual.posterior import GPPosterior
+from greybox.residual.weight_space import read_part
 
 
 def save_model(model: IdentifiedModel, path: str | os.PathLike[str]) -> Path:
@@ -58,12 +57,7 @@ def load_model(
         base = IdentifiedModel.from_dict(
             data["base"], where=where, effects=effects, sensors=sensors
         )
-        posterior: GPPosterior | FeaturePosterior = (
-            GPPosterior.from_dict(data["gp"])
-            if "gp" in data
-            else FeaturePosterior.from_dict(data["learned"])
-        )
-        return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
+        return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=read_part(data)))
     except MALFORMED as error:
         if isinstance(error, GreyboxError):
             raise

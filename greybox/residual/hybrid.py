@@ -27,7 +27,7 @@ from greybox.residual.errors_together import errors_at
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import feature_function, features, reach
 from greybox.residual.posterior import GPPosterior
-from greybox.residual.weight_space import called
+from greybox.residual.weight_space import called, written
 from greybox.symbolic import Expr, FloatArray, evaluate
 
 
@@ -82,13 +82,12 @@ class HybridModel(LearnedPush):
 
     def file_of(self, model: IdentifiedModel) -> dict[str, Json]:
         """The model file of the inner model and the posterior beside it, with a checksum."""
-        key = "learned" if isinstance(self.posterior, FeaturePosterior) else "gp"
         body: dict[str, Json] = {
             "schema": SCHEMA,
             "kind": "hybrid",
             "name": model.name,
             "base": replace(model, dynamics=self.inner).to_dict(),
-            key: self.posterior.to_dict(),
+            **written(self.posterior),
         }
         return {**body, "versions": library_versions(), "checksum": checksum(body)}
 

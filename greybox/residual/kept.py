@@ -12,11 +12,10 @@ from dataclasses import dataclass, fields
 
 from greybox.files import Json, Parsed
 from greybox.journal import answers
-from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.open_loop_fit import OpenLoopFit
-from greybox.residual.posterior import SCHEMA as GP_SCHEMA
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.training_report import TrainedGP, TrainingDocument
+from greybox.residual.weight_space import read_part, written
 
 Found = tuple[OpenLoopFit, str, Mapping[str, float]]
 """As `fit_open_loop` returns it."""
@@ -67,12 +66,10 @@ def fitted_once(fit: Callable[[], Found]) -> Found:
         found, chosen, gains = fit()
         fresh.append((found, chosen, gains))
         values = {f.name: getattr(found, f.name) for f in fields(found)}
-        told = values.pop("posterior").to_dict()
+        told = written(values.pop("posterior"))
         yield 0, _Fitted(posterior=told, rest=values, chosen=chosen, gains=dict(gains))
 
     (kept,) = answers(["errors ahead"], work, _Fitted, (_Fitted,))
     if fresh:
         return fresh[0]
-    kind = GPPosterior if kept.posterior["schema"] == GP_SCHEMA else FeaturePosterior
-    learned = kind.from_dict(kept.posterior)
-    return OpenLoopFit(posterior=learned, **kept.rest), kept.chosen, kept.gains
+    return OpenLoopFit(posterior=read_part(kept.posterior), **kept.rest), kept.chosen, kept.gains

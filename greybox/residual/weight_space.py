@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from greybox.files import Json, Parsed
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import GPPosterior
@@ -56,6 +57,21 @@ def called(post: Candidate) -> str:
     label = post.method if isinstance(post, FeaturePosterior) else "GP"
     learned = [n for n, on in zip(post.outputs.names, post.active, strict=True) if on]
     return f"{label}({', '.join(learned) or 'nothing'})"
+
+
+def written(post: Candidate) -> dict[str, Json]:
+    """What a file holds of it, under the name of its kind."""
+    return {"learned" if isinstance(post, FeaturePosterior) else "gp": post.to_dict()}
+
+
+def read_part(data: Parsed) -> Candidate:
+    """What `written` put into the values of a file. Raises `FileFormatError`, and `KeyError` where
+    there is nothing of it."""
+    return (
+        GPPosterior.from_dict(data["gp"])
+        if "gp" in data
+        else FeaturePosterior.from_dict(data["learned"])
+    )
 
 
 def factors(post: Candidate) -> list[FloatArray]:
