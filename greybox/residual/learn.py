@@ -27,7 +27,7 @@ import numpy as np
 
 from greybox.data import Dataset, Flight
 from greybox.data.checks import check
-from greybox.errors import GreyboxError, ModelError
+from greybox.errors import DataError, GreyboxError, ModelError
 from greybox.estimation.options import says_choices
 from greybox.journal import spared
 from greybox.model.faults import demand_sound
@@ -48,6 +48,7 @@ from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_again, fit_open_loop
 from greybox.residual.options import LearnChoices, LearnOptions
 from greybox.residual.training_report import TrainingDocument
+from greybox.residual.training_rows import LEAST
 from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
 from greybox.takes import FLIGHTS, MODEL, NAMES, takes
@@ -374,6 +375,14 @@ def _seen(
         else base
     )
     whole = discrepancy(seeing, train, every)
+    if learner is None and len(whole.z) < LEAST:
+        flown = sum(s.n for f in train for s in f.segments) * base.sample_time
+        raise DataError(
+            "too little flight for a Gaussian process",
+            expected=f"at least {LEAST} stretches as long as unnamed pushes last",
+            got=f"{len(whole.z)} of {flown:.3g} s",
+            fix="more or longer flights",
+        )
     sets = {label: whole.select(own) for label, own in names.items()}
     return _Seen(model=seeing, whole=whole, sets=sets)
 

@@ -89,6 +89,10 @@ CASES = {
         ["model.json", "--train", "a.csv", "--learner", "nan.py:Nan", "--inputs", "p"],
         "learner nan: nothing is not finite on the training flights",
     ),
+    "three seconds": (
+        ["model.json", "--train", "a.csv", "--inputs", "p", "--json", "-"],
+        "too little flight for a Gaussian process; expected at least 20 stretches",
+    ),
     "horizon zero": (["model.json", "--train", "a.csv", "--horizons", "0"], "horizons"),
 }
 
