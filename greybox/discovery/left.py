@@ -16,17 +16,18 @@ import numpy as np
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.rules import RULES
 from greybox.errors import FitError, GreyboxError
-from greybox.estimation.fit import Fit, fit
+from greybox.estimation.fit import Fit
 from greybox.estimation.state_taken_away import lost_without
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of, with_physics
-from greybox.model.noise import disturbances, without_parts
+from greybox.model.noise import disturbances
 from greybox.residual.discrepancy import discrepancy
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.effect_file import Law, file_name, proposal_text, proposed
 from greybox.residual.laws.found import AxisLaw, laws_of
 from greybox.residual.laws.responses import library
 from greybox.residual.laws.terms import wanted_features
+from greybox.residual.laws.without_memory import without_memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,8 +97,9 @@ def left_over(
     wanted = [a for a, (_, needed) in gains.items() if needed]
     if wanted and holds:
         with contextlib.suppress(GreyboxError):
-            white = _white(settled, flights)
-            offered = library(white, model, data, names, wanted, settled.parameters)
+            offered = library(
+                without_memory(settled, data), model, data, names, wanted, settled.parameters
+            )
             found = laws_of(offered, sum(f.n for f in data.flights), seed)
     axes = tuple(
         Axis(
@@ -160,17 +162,3 @@ def _raced(
         taken=taken,
         law_file=offered.law_file,
     )
-
-
-def _white(settled: Fit, flights: Flights) -> IdentifiedModel:
-    """The model of a fit without states of force, torque and sensors, noise levels fitted anew: a
-    filter with these takes most of a slow law for noise. Of a small model of one's own all numbers:
-    next to a disturbance they only say what is fast."""
-    dynamics = without_parts(settled.model.dynamics)
-    there = {d.name for d in dynamics.parameters}
-    values = {n: float(v) for n, v in settled.model.values.items() if n in there}
-    own = [n for n in settled.model.flight_spread if n in there]
-    free = own if physics_of(dynamics) else [n for n in settled.parameters if n in there]
-    return fit(
-        dynamics, flights.data, free=free, values=values, per_flight=own, initialisation="noise"
-    ).model

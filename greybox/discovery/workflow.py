@@ -48,7 +48,6 @@ from greybox.estimation.record import sample_time
 from greybox.journal import spared
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.faults import faults_of
-from greybox.model.identified import IdentifiedModel
 from greybox.model.known import NOTHING, since
 from greybox.model.layer import physics_of
 from greybox.model.noise_free import as_measured
@@ -56,21 +55,14 @@ from greybox.model.vehicle import Vehicle
 from greybox.model.verdict import STOPPED, demand_finished
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
+from greybox.residual.attainable import attainable
 from greybox.statistics.betting import bar_of_several
 from greybox.takes import EXECUTOR, FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
 from greybox.validation.adapt import adaptation
-from greybox.validation.gap import (
-    GapRow,
-    HeldOutErrors,
-    Squares,
-    gap,
-    outgrown,
-    predict_ahead,
-    worsened,
-)
+from greybox.validation.gap import GapRow, HeldOutErrors, outgrown, worsened
+from greybox.validation.judges import Judges
 from greybox.validation.sanity import denied
 from greybox.validation.then import Then
-from greybox.validation.validate import verdict_on
 from greybox.validation.worth import worth
 
 Progress = Callable[[str, float], None]
@@ -134,7 +126,9 @@ def discover(
             say=say,
         ),
         test=without_lead_in(tested) if tested and vehicle else tested,
-        judges=train if tested is None else tested,
+        judges=Judges(
+            flights=train if tested is None else tested, adapt=options.adapt, seed=options.seed
+        ),
         options=options,
         settings=settings,
         say=say,
@@ -178,12 +172,8 @@ def _offered(
                 got=f"the model {subject.name} of your own",
                 fix="declare an effect in the model: a parameter with a null",
             )
-        causes = offer_own(
-            subject,
-            fixed=options.fixed,
-            per_flight=options.per_flight,
-            known=known,
-        )
+        own, held = options.per_flight, options.fixed
+        causes = offer_own(subject, fixed=held, per_flight=own, known=known)
     declared = [d.name for d in causes.model.parameters]
     if wrong := {*options.per_flight, *options.fixed} - set(declared):
         raise UnknownNameError("parameter", min(wrong), declared)
@@ -212,7 +202,7 @@ class _Run:
 
     flights: Flights
     test: Dataset | None
-    judges: Dataset
+    judges: Judges
     options: DiscoverOptions
     settings: SearchSettings
     say: Progress
@@ -224,7 +214,6 @@ class _Run:
     unchanged: str = ""
     last: Fitted | None = None
     """Where nothing has changed: what is said, and what flights are likelier with."""
-    _held_out: dict[Fitted, HeldOutErrors | None] = field(default_factory=dict)
     _settled: dict[Fitted, Fit] = field(default_factory=dict)
 
     @property
@@ -249,17 +238,14 @@ class _Run:
         names, at, left = self._answer(search, null)
         found = self.settled(at)
         before = left_over(self.flights, null, self.settled(null), self.bar, seed=0)
-        if not found.converged:
-            self.warnings.append(f"the last fit: {found.status.advice}")
+        self.warnings += [f"the last fit: {found.status.advice}"] * (not found.converged)
         self.say("gap", 0.9)
-        found = self._judged(found)
-        lawful = None
-        if left.written is not None:
-            lawful = left.lawful(self._judged(self.settled(left.written)))
+        found = self.judges.judged(found)
+        written = left.written and self.judges.judged(self.settled(left.written))
         rows = self._gap(null, self.last or at, left.written)
         scores = search.scores
-        taught, judging = (sum(f.n for f in d) for d in (self.flights.data, self.judges))
-        share = 0.5 if self.test is None else judging / max(taught, 1)
+        taught = sum(f.n for f in self.flights.data)
+        share = 0.5 if self.test is None else self.judges.samples / max(taught, 1)
         doubts = [impossible(at, self.flights, n) for n in sorted(causes.base)]
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
@@ -279,7 +265,7 @@ class _Run:
             steps=tuple(search.steps),
             sensors=tuple(sensor_table(found)),
             base=tuple(n for n in sorted(BASE) if n in found.model.effects),
-            lawful=lawful,
+            lawful=left.lawful(written) if written else None,
             denied=denied(self.settled(left.written or at), causes.core),
             unchanged=self.unchanged,
         )
@@ -351,24 +337,14 @@ class _Run:
 
     def held_out(self, at: Fitted) -> HeldOutErrors | None:
         """Errors of a structure on the flights that judge; None where it predicts nothing there."""
-        if at not in self._held_out:
-            self._held_out[at] = None
-            with contextlib.suppress(GreyboxError):
-                self._held_out[at] = self._ahead(self.settled(at).model)
-        return self._held_out[at]
+        with contextlib.suppress(GreyboxError):
+            return self.judges.errors(self.settled(at).model)
+        return None
 
     @functools.cached_property
     def then(self) -> Then | None:
         """The model from which on changes are sought, on the flights that judge."""
-        return Then.on(self.options.since, self.judges, self.options.adapt or 0.0)
-
-    def _ahead(self, model: IdentifiedModel, unnamed: bool = False) -> HeldOutErrors:
-        return predict_ahead(model, self.judges, adapt=self.options.adapt or 0.0, unnamed=unnamed)
-
-    def _judged(self, found: Fit) -> Fit:
-        """With the verdict of the flights that judge, where they can tell."""
-        seen = verdict_on(found.model, self.judges, self.options.adapt)
-        return found if seen is None else found.judged(seen)
+        return Then.on(self.options.since, self.judges)
 
     def _named(self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]) -> Judged:
         """What is said of every cause of the structure, and the structure of what is said."""
@@ -459,39 +435,16 @@ class _Run:
                 "the gap is judged on the training flights: give --test flights",
             ]
         before = self.then.errors if self.then else self.held_out(null)
-        after = self.held_out(at)
-        if before is None or after is None:
-            self.warnings.append("no gap table: the models predict nothing on the judged flights")
-            return []
-        proposals = attainable = filtered = None
-        if written is not None and (lawful := self.held_out(written)) is not None:
-            proposals = lawful.own
-        if physics_of(self.flights.causes.model) is not None:
-            with contextlib.suppress(GreyboxError):
-                filtered = self._ahead(self.settled(at).model, unnamed=True).own
+        lawful, learned = self.held_out(written) if written else None, None
         if self.options.attainable:
             self.say("attainable line", 0.95)
-            attainable = self._learned(null)
-        rows = gap(
-            (before.own, before.floor),
-            (after.own, after.floor),
-            units=after.units,
-            proposals=proposals,
-            attainable=attainable,
-            filtered=filtered,
-            seed=self.options.seed,
-        )
+            try:
+                bare = self.settled(null).model
+                learned = attainable(bare, self.flights.data, self.judges, self.options.seed)
+            except GreyboxError as error:
+                self.warnings.append(f"no attainable line: {error}")
+        rows = self.judges.rows(before, self.settled(at).model, lawful, learned)
+        if not rows:
+            self.warnings.append("no gap table: the models predict nothing on the judged flights")
         self.warnings += [] if self.last else worsened(rows)
         return rows
-
-    def _learned(self, null: Fitted) -> Squares | None:
-        """Errors of the bare model with a Gaussian process that learned what it misses."""
-        from greybox.residual.learn import learn_checked
-
-        try:
-            bare = self.settled(null).model
-            learned = learn_checked(bare, self.flights.data, seed=self.options.seed)
-            return self._ahead(learned.model).own
-        except GreyboxError as error:
-            self.warnings.append(f"no attainable line: {error}")
-            return None

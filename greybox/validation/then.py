@@ -8,41 +8,35 @@ not foretell clearly better nothing in it is a change.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from greybox.data import Dataset
-from greybox.errors import GreyboxError
 from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
-from greybox.validation.gap import HeldOutErrors, predict_ahead
+from greybox.validation.gap import HeldOutErrors
+from greybox.validation.judges import Judges
 from greybox.validation.validate import verdict_on
 from greybox.validation.worth import Span, clearly, seconds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Then:
-    """The `model` of then on flights `judges` of now, of which it may adapt to the first `adapt`
-    [s], and its `errors` ahead there."""
+    """The `model` of then on flights of now that judge, and its `errors` ahead there."""
 
     model: IdentifiedModel
-    judges: Dataset
-    adapt: float
+    judges: Judges
     errors: HeldOutErrors
 
     @classmethod
-    def on(cls, model: IdentifiedModel | None, judges: Dataset, adapt: float) -> Self | None:
+    def on(cls, model: IdentifiedModel | None, judges: Judges) -> Self | None:
         """None where there is no model, or it predicts nothing there."""
-        if model is None or not np.isclose(model.sample_time, sample_time(judges)):
+        if model is None or not np.isclose(model.sample_time, sample_time(judges.flights)):
             return None
-        with contextlib.suppress(GreyboxError):
-            errors = predict_ahead(model, judges, adapt=adapt)
-            return cls(model=model, judges=judges, adapt=adapt, errors=errors)
-        return None
+        errors = judges.errors(model)
+        return None if errors is None else cls(model=model, judges=judges, errors=errors)
 
     def beats(self, new: HeldOutErrors | None, span: Span) -> bool:
         """Whether it foretells clearly better within `span` than a model whose errors are `new`."""
@@ -54,7 +48,10 @@ class Then:
         changes = np.zeros(0) if new is None else seconds(self.errors, new, span)
         if not added or changes.size < 2 or clearly(changes):
             return ""
-        now, was = verdict_on(self.model, self.judges, self.adapt), self.model.verdict
+        now, was = (
+            verdict_on(self.model, self.judges.flights, self.judges.adapt),
+            self.model.verdict,
+        )
         lost = now is not None and now.refused and not (was and was.refused)
         first = "CHANGED, BY NOTHING ON OFFER" if lost else "NOTHING HAS CHANGED that is felt"
         on = "" if lost else " (go on with it, not with what is written here)"

@@ -25,6 +25,7 @@ from greybox.files import to_plain
 from greybox.model.model import build_model
 from greybox.model.noise import sensor_parts
 from greybox.plants.effects import PayloadMass, PlantEffect, ThrustLevel
+from greybox.validation.judges import Judges
 from greybox.validation.then import Then
 from tests.discovery import small_world
 from tests.discovery.small_world import DAMPING, SHORT, shorten, vehicle
@@ -194,7 +195,7 @@ def test_what_is_no_change_is_said_first_and_costs_no_swap_and_no_certificate(
     assert valid(found)["line"] == found.line == "AS THEN: ['rotational_damping']"
     assert found.names == ()
     assert "rotational_damping" not in found.model.effects
-    errors = Then.on(then, test, found.settings["adapt"] or 0.0)
+    errors = Then.on(then, Judges(flights=test, adapt=found.settings["adapt"]))
     assert errors is not None
     half = next(r for r in found.gap if (r.group, r.horizon_s) == ("rate", 0.5))
     squares = np.concatenate(errors.errors.own["rate", 0.5])

@@ -19,6 +19,7 @@ from greybox.discovery.search import Search, drop_gain
 from greybox.discovery.workflow import _Run
 from greybox.estimation.status import Code
 from greybox.model.noise import Coloured, LowPass
+from greybox.validation.judges import Judges
 from tests.discovery.small_world import damped, shorten, vehicle
 
 
@@ -141,7 +142,7 @@ def test_a_result_is_that_of_its_own_fit_not_of_an_earlier_one_of_the_same_struc
     run = _Run(
         flights=world,
         test=None,
-        judges=world.data,
+        judges=Judges(flights=world.data),
         options=DiscoverOptions(),
         settings={},
         say=lambda _text, _share: None,

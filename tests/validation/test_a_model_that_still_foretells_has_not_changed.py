@@ -12,6 +12,7 @@ import greybox.validation.then
 from greybox.data import Dataset
 from greybox.model.identified import IdentifiedModel
 from greybox.validation.gap import HeldOutErrors
+from greybox.validation.judges import Judges
 from greybox.validation.then import Then
 
 SPAN = (0.1, 1.0)
@@ -33,8 +34,8 @@ def then(monkeypatch: pytest.MonkeyPatch) -> Then:
     seen = SimpleNamespace(now=FINE)
     monkeypatch.setattr(greybox.validation.then, "verdict_on", lambda *_: seen.now)
     model: Any = SimpleNamespace(verdict=FINE, seen=seen)
-    judges = cast(Dataset, None)
-    return Then(model=cast(IdentifiedModel, model), judges=judges, adapt=0.0, errors=errors(1.0))
+    judges = Judges(flights=cast(Dataset, None), adapt=0.0)
+    return Then(model=cast(IdentifiedModel, model), judges=judges, errors=errors(1.0))
 
 
 def test_a_model_with_more_that_foretells_worse_names_no_change(then):

@@ -1,0 +1,69 @@
+"""Judges: flights that judge models by what these foretell, the same for all that a search asks."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field
+
+from greybox.data import Dataset
+from greybox.errors import GreyboxError
+from greybox.estimation.result import Fit
+from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
+from greybox.validation.gap import GapRow, HeldOutErrors, Squares, gap, predict_ahead
+from greybox.validation.validate import verdict_on
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judges:
+    """The `flights`, of which a model may adapt to the first `adapt` [s]; `seed` of bootstraps."""
+
+    flights: Dataset
+    adapt: float | None = None
+    seed: int = 0
+    _known: dict[tuple[IdentifiedModel, bool], HeldOutErrors | None] = field(default_factory=dict)
+
+    @property
+    def samples(self) -> int:
+        """How many there are."""
+        return sum(f.n for f in self.flights)
+
+    def errors(self, model: IdentifiedModel, *, unnamed: bool = False) -> HeldOutErrors | None:
+        """Ahead, as `predict_ahead` gives them, once; None where the model predicts nothing."""
+        if (model, unnamed) not in self._known:
+            found = None
+            with contextlib.suppress(GreyboxError):
+                adapt = self.adapt or 0.0
+                found = predict_ahead(model, self.flights, adapt=adapt, unnamed=unnamed)
+            self._known[model, unnamed] = found
+        return self._known[model, unnamed]
+
+    def judged(self, found: Fit) -> Fit:
+        """A fit with their verdict, where they can tell."""
+        seen = verdict_on(found.model, self.flights, self.adapt)
+        return found if seen is None else found.judged(seen)
+
+    def rows(
+        self,
+        before: HeldOutErrors | None,
+        model: IdentifiedModel,
+        proposals: HeldOutErrors | None = None,
+        attainable: Squares | None = None,
+    ) -> list[GapRow]:
+        """The gap from errors `before` to those of the model, with those of `proposals` and what
+        is `attainable` beside; none where one of the two predicts nothing."""
+        after = self.errors(model)
+        if before is None or after is None:
+            return []
+        filtered = None
+        if physics_of(model.dynamics) is not None:
+            filtered = self.errors(model, unnamed=True)
+        return gap(
+            (before.own, before.floor),
+            (after.own, after.floor),
+            units=after.units,
+            proposals=proposals.own if proposals else None,
+            attainable=attainable,
+            filtered=filtered.own if filtered else None,
+            seed=self.seed,
+        )
