@@ -246,7 +246,7 @@ def _carried_out(
         if gone:
             bent = [n for n in bent if n.split(".")[0] in map(_name, gone)]
             step_down(f"without {', '.join(map(_name, gone))}", f"{', '.join(bent)} ran to a bound")
-            recipe = _without(recipe, gone)
+            recipe = without_effects(recipe, gone)
             continue
         filters = () if "noise_parts" in said.choices else recipe.options.noise_parts
         short = [f for f in filters if not is_endless(part_named(f), found)]
@@ -406,7 +406,7 @@ def _name(effect: str | Effect) -> str:
     return effect if isinstance(effect, str) else effect.name
 
 
-def _without(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
+def without_effects(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
     """The recipe without some effects and what was said of their parameters."""
     names = {_name(e) for e in effects}
     options = recipe.options
@@ -440,4 +440,4 @@ def _less(recipe: Recipe, said: Given) -> tuple[Recipe, str] | None:
     if said.effects is not None:
         return None
     more = [e for e in recipe.effects if _name(e) not in BASE.effects]
-    return (_without(recipe, more), "rotors and sensors alone") if more else None
+    return (without_effects(recipe, more), "rotors and sensors alone") if more else None

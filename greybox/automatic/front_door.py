@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Unpack
 
 from greybox.automatic.borrow import decide_for
-from greybox.automatic.fit import fit_decided, prepare
+from greybox.automatic.fit import Prepared, fit_decided, prepare
 from greybox.automatic.judged import judged
 from greybox.automatic.lasting import with_lasting
 from greybox.automatic.setting import Given
@@ -133,10 +133,7 @@ def _automatic(
     unchecked = prepared.report.unchecked_order
     for line in (*prepared.report.accepted_lines(), *unchecked):
         say(line)
-    vehicle, decided = decide_for(vehicle, prepared, given, say=say)
-    found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
-    found = with_lasting(with_rivals(found, prepared.data), prepared.data)
-    found = calibrated(found, prepared.data).warned(unchecked)
+    found = fit_prepared(vehicle, prepared, given, say, progress).warned(unchecked)
     recipe = found.provenance.recipe
     assert recipe is not None
     held_out, reports = Dataset(flights=()), []
@@ -157,3 +154,18 @@ def _automatic(
         say(f"not judged: {error}")
         return found.warned([f"not judged: {error}"])
     return found.judged(seen.verdict)
+
+
+def fit_prepared(
+    vehicle: Vehicle,
+    prepared: Prepared,
+    given: Given,
+    say: Say = _quiet,
+    progress: Progress | None = None,
+) -> Fit:
+    """The automatic fit to flights that are prepared, with its errors, not judged yet. Raises
+    `DataError`, `ModelError`, `FitError`."""
+    vehicle, decided = decide_for(vehicle, prepared, given, say=say)
+    found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
+    found = with_lasting(with_rivals(found, prepared.data), prepared.data)
+    return calibrated(found, prepared.data)

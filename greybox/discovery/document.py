@@ -166,6 +166,7 @@ class DiscoveryDocument(TypedDict):
     not_judged: dict[str, str]
     denied: NotRequired[list[str]]
     faults: list[str]
+    by_errors_ahead: NotRequired[bool]
     warnings: list[str]
     settings: SearchSettings
     trained_on: list[str]

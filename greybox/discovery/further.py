@@ -89,8 +89,9 @@ def _demand_new(content: DiscoveryDocument, model: IdentifiedModel, data: Datase
             expected="names that it certified",
             fix=f"go on with it first: {content.get('command', 'greybox discover')}",
         )
-    if not content["effects"]:
-        raise DataError("no name to go on with", fix="greybox discover with all flights")
+    if content.get("by_errors_ahead") or not content["effects"]:
+        said = "no name to go on with: none has an e-value by likelihood"
+        raise DataError(said, fix="greybox discover with all flights")
 
 
 def _told(model: IdentifiedModel, data: Dataset, own: Iterable[Effect]) -> tuple[Flights, Fitted]:

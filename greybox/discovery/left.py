@@ -19,12 +19,12 @@ from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.estimation.state_taken_away import lost_without
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import physics_of, with_physics
+from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
 from greybox.residual.discrepancy import discrepancy
 from greybox.residual.laws.axis import Axis
-from greybox.residual.laws.effect_file import Law, file_name, proposal_text, proposed
-from greybox.residual.laws.found import AxisLaw, laws_of
+from greybox.residual.laws.effect_file import Law, file_name, proposal_text, proposed, with_laws
+from greybox.residual.laws.found import AxisLaw, is_law, laws_of
 from greybox.residual.laws.responses import library
 from greybox.residual.laws.terms import wanted_features
 from greybox.residual.laws.without_memory import without_memory
@@ -44,12 +44,7 @@ class Left:
         the files beside it."""
         if physics_of(settled.model.dynamics) is None:
             return settled.model
-        effects = proposed(self.laws, self.taken)
-        own = [e.name for e in effects]
-        dynamics = with_physics(
-            settled.model.dynamics, lambda m: m.without_effect(*own).with_effect(*effects)
-        )
-        return replace(settled.model, dynamics=dynamics)
+        return with_laws(settled.model, proposed(self.laws, self.taken))
 
     @property
     def files(self) -> dict[str, str]:
@@ -109,7 +104,7 @@ def left_over(
             gain=gains[c.name][0],
             needed=gains[c.name][1],
             lasts=lasts[c.name.split(".")[0]],
-            lawful=is_law(found.get(c.name, AxisLaw())),
+            lawful=is_law(found.get(c.name, AxisLaw()), RULES.law),
             **found.get(c.name, AxisLaw()),
         )
         for j, c in enumerate(seen.outputs)
@@ -122,11 +117,6 @@ def left_over(
             if (raced := _raced(flights, at, kept, some, bar, holds)).written is not None:
                 return raced
     return Left(axes=axes)
-
-
-def is_law(found: AxisLaw) -> bool:
-    """Whether terms were found that explain enough."""
-    return bool(found.get("terms")) and bool(found["share"] >= RULES.law)
 
 
 def _raced(

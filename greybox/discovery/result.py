@@ -42,8 +42,9 @@ class Discovery(Shown):
     """What was found. `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
     final structure, `left` what its unnamed force and torque hold. `bar` is the log e-value that a
     name needs, `denied` which stated numbers the flights deny, `so_far` what a stopped search
-    knows, `unchanged` what is said where nothing has changed since a model. `lawful` is the model
-    with laws (the one to go on with; None without), `proposals()` the laws as files by name."""
+    knows, `unchanged` what is said where nothing has changed since a model, `ahead` whether errors
+    ahead alone judged. `lawful` is the model with laws (the one to go on with; None without),
+    `proposals()` the laws as files by name."""
 
     verdict: str
     names: tuple[Name, ...] = ()
@@ -70,6 +71,7 @@ class Discovery(Shown):
     denied: tuple[str, ...] = ()
     so_far: str = ""
     unchanged: str = ""
+    ahead: bool = False
 
     @property
     def model(self) -> IdentifiedModel:
@@ -211,6 +213,7 @@ class Discovery(Shown):
             "not_judged": dict(self.unjudged),
             "denied": list(self.denied),
             "faults": list(self.faults),
+            "by_errors_ahead": self.ahead,
             "warnings": list(self.warnings),
             "settings": self.settings.copy(),
             "trained_on": list(self.fit.model.trained_on) if self.fit is not None else [],

@@ -59,7 +59,8 @@ def first_line(found: Discovery) -> str:
         rough += "NOT CONVERGED, every number may move: "
     rough += f"AGAINST THE FILE: {'; '.join(found.denied)}. " * bool(found.denied)
     rough += "DOUBTFUL, beside an impossible offset of a sensor: " * bool(found.faults)
-    lack = "MISSING, new or from the start" if found.settings.get("since") else "MISSING"
+    rough += "BY ERRORS AHEAD, as likelihood is no judge here: " * found.ahead
+    lack = "MISSING" + ", new or from the start" * bool(found.settings.get("since"))
     what = f"{lack}: {'; '.join(names)}" if names else "nothing is missing that has a name"
     what += f"; in the model, not certified: {kept}" * bool(kept)
     what += f"; in the model, a trace alone: {traces}" * bool(traces)
@@ -67,8 +68,8 @@ def first_line(found: Discovery) -> str:
         return f"{rough}{what}; without a name: {', '.join(held)}"
     if names or kept or traces:
         return f"{rough}{what}; {memory or 'nothing clear is left'}"
-    least = list(found.minimum_detectable.items())[:3]
-    seen = ", ".join(f"{n} {next(iter(v.values())):.2g}" for n, v in least)
+    least = found.minimum_detectable
+    seen = ", ".join(f"{n} {next(iter(least[n].values())):.2g}" for n in list(least)[:3])
     size = f" (would have been named from {seen} on at the latest, ...)" * bool(seen)
     return f"{rough}{f'nothing has a name, but {memory}' if memory else 'NOTHING MISSING'}{size}"
 
@@ -79,9 +80,8 @@ def in_words(found: Discovery) -> str:
     if found.fit is None:
         return "\n".join([*lines, *(f"warning: {w}" for w in found.warnings)])
     for e in found.effects():
-        words = _in_words(e["name"], e["parameters"])
         told = f"{e['status']}, log10 e {e['log10_e']:.1f}{_worth(e['worth'])}"
-        lines.append(f"  {words}: {told}")
+        lines.append(f"  {_in_words(e['name'], e['parameters'])}: {told}")
         odds = "    rather than {name}: log10 odds {log10_odds:.1f}, log10 e {log10_e:.1f}"
         lines += [odds.format(**u) for u in e["unlikely"]]
         laws = {} if found.lawful is None else found.lawful.values

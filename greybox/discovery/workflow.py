@@ -5,6 +5,7 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import functools
+import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,7 @@ from typing import Unpack
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from greybox.automatic.held_ahead import held_ahead, is_bent
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport
 from greybox.data.halves import demand_apart
@@ -25,6 +27,7 @@ from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import (
     NAMED,
     Name,
+    by_errors_ahead,
     held,
     impossible,
     judged,
@@ -211,10 +214,12 @@ class _Run:
     warnings: list[str] = field(default_factory=list)
     needed: float = np.inf
     """Log e-value that each of the names found needs, see `bar_of_several`."""
+    ahead: bool = False
     unchanged: str = ""
     last: Fitted | None = None
     """Where nothing has changed: what is said, and what flights are likelier with."""
     _settled: dict[Fitted, Fit] = field(default_factory=dict)
+    _bent: dict[tuple[Fitted, Fitted | None], bool] = field(default_factory=dict)
 
     @property
     def bar(self) -> float:
@@ -268,6 +273,7 @@ class _Run:
             lawful=left.lawful(written) if written else None,
             denied=denied(self.settled(left.written or at), causes.core),
             unchanged=self.unchanged,
+            ahead=self.ahead,
         )
 
     def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:
@@ -278,6 +284,8 @@ class _Run:
         if then and (line := then.unchanged(self.held_out(last), search.added(last), RULES.span)):
             self.unchanged, self.last, self.needed = line, last, self.bar
             return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
+        if said_ahead := self._by_errors_ahead(search, null, last):
+            return said_ahead
         more: Fitted | None = last
         while more is not None:
             at, said, offered = more, self.warnings.copy(), self.flights.causes
@@ -307,7 +315,7 @@ class _Run:
             names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
             named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))
             left = left_over(self.flights, named, self.settled(named), self.bar, seed=0)
-        return names, named, left
+        return self._by_errors_ahead(search, null, named, names, left) or (names, named, left)
 
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
         """Save what is known, and what is not: the search stands `at` a structure; `names` are what
@@ -340,6 +348,48 @@ class _Run:
         with contextlib.suppress(GreyboxError):
             return self.judges.errors(self.settled(at).model)
         return None
+
+    def bent(self, at: Fitted, lawful: Fitted | None = None) -> bool:
+        """Whether the likelihood is no judge of names of a vehicle, see `is_bent`, asked once."""
+        if self.options.since is None and (at, lawful) not in self._bent:
+            laws = self.settled(lawful).model if lawful else None
+            asked = self.settled(at), self.flights.data, self.judges, RULES.span, laws
+            self._bent[at, lawful] = is_bent(*asked)
+        return self._bent.get((at, lawful), False)
+
+    def _by_errors_ahead(
+        self,
+        search: Search,
+        null: Fitted,
+        at: Fitted,
+        names: Sequence[Name] = (),
+        left: Left | None = None,
+    ) -> tuple[list[Name], Fitted, Left] | None:
+        """Where a structure is bent, and laws that are `left` do not mend that, what is said of it:
+        by what it is worth to a model that is fitted by errors ahead, which takes its place. Other
+        `names` stay as they are. None where it is not bent, or nothing can be fitted."""
+        asked, done = search.added(at), itertools.count()
+        physics = physics_of(self.settled(at).model.dynamics)
+        if physics is None or not asked or not self.bent(at):
+            return None
+        if left is None:
+            offered, left = self.flights.causes, self._left(null, at)
+            self.flights.causes = offered
+        if left.written is not None and not self.bent(at, left.written):
+            return None
+        o = self.options
+
+        def say(text: str) -> None:
+            self.say(text, 0.6 + 0.3 * min(next(done) / len(asked), 3) / 3)
+
+        fits = functools.partial(held_ahead, fixed=o.fixed, per_flight=o.per_flight, say=say)
+        race = fits(physics, asked, self.flights.data, self.judges, RULES.span)
+        if race is None:
+            return None
+        self._settled[at], self.ahead, self.needed = race.fit, True, self.bar
+        said = [by_errors_ahead(n, race.worth[n], race.held(n), self.bar) for n in asked]
+        others = [n for n in names if n.name not in asked]
+        return [*said, *others], at, replace(left, written=None)
 
     @functools.cached_property
     def then(self) -> Then | None:
@@ -430,9 +480,8 @@ class _Run:
     def _gap(self, null: Fitted, at: Fitted, written: Fitted | None) -> list[GapRow]:
         if self.test is None:
             self.warnings += [
-                "without --test flights the causes were chosen on the flights that judge them, by "
-                "halves: e-values are then too large by what choosing gains",
-                "the gap is judged on the training flights: give --test flights",
+                "without --test flights causes were chosen on those that judge them, by halves, and "
+                "the gap: e-values are then too large by what choosing gains",
             ]
         before = self.then.errors if self.then else self.held_out(null)
         lawful, learned = self.held_out(written) if written else None, None

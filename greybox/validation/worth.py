@@ -74,8 +74,9 @@ def worth(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> Worth:
 
 def clearly(changes: FloatArray) -> bool:
     """Whether the mean of the changes (n,) of every second is above zero by two standard errors."""
-    error = np.std(changes) / np.sqrt(max(changes.size - 1, 1))
-    return changes.size > 1 and bool(changes.mean() > 2 * error)
+    if changes.size < 2:
+        return False
+    return bool(changes.mean() > 2 * np.std(changes) / np.sqrt(changes.size - 1))
 
 
 def seconds(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> FloatArray:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.discovery.left import is_law
 from greybox.discovery.rules import RULES
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit
@@ -17,7 +16,7 @@ from greybox.frames import numeric
 from greybox.model.model import build_model
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.bends import Bends
-from greybox.residual.laws.found import laws_of
+from greybox.residual.laws.found import is_law, laws_of
 from greybox.residual.laws.responses import Library, Normal, responses, stretches
 from greybox.residual.laws.selection import forward, left_out, select, solve
 from greybox.residual.laws.terms import terms
@@ -81,7 +80,7 @@ def law(
         gain=100.0,
         lasts=1.0,
         needed=True,
-        lawful=is_law(found.get("torque.z", {})),
+        lawful=is_law(found.get("torque.z", {}), RULES.law),
         **found.get("torque.z", {}),
     )
 

@@ -40,6 +40,7 @@ def said(times: int) -> tuple[list[str], Any]:
         _keep=lambda *_: None,
         _left=lambda *_: next(laws),
         _beside_laws=beside,
+        _by_errors_ahead=lambda *_: None,
     )
     search: Any = SimpleNamespace(
         run=lambda at: at,

@@ -13,6 +13,7 @@ import math
 import re
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Protocol
@@ -20,6 +21,8 @@ from typing import Protocol
 from greybox.files import set_aside
 from greybox.model.effect import Effect
 from greybox.model.effects_file import load_effects
+from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import with_physics
 from greybox.residual.laws.terms import Memory, Shaped
 
 REACH, WIDER, ASIDE = 10.0, 3.0, 2.0
@@ -247,6 +250,13 @@ def proposed(laws: Sequence[Law], taken: Collection[str] = ()) -> tuple[Effect, 
             path.write_text(proposal_text(law, number, taken), encoding="utf-8")
             out += load_effects(path)
     return tuple(out)
+
+
+def with_laws(model: IdentifiedModel, laws: Sequence[Effect]) -> IdentifiedModel:
+    """The model with `laws` in place of those of the same names that it has."""
+    own = [e.name for e in laws]
+    dynamics = with_physics(model.dynamics, lambda m: m.without_effect(*own).with_effect(*laws))
+    return replace(model, dynamics=dynamics)
 
 
 def set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:

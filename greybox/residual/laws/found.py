@@ -35,6 +35,11 @@ class AxisLaw(TypedDict, total=False):
     depends_on: tuple[str, ...]
 
 
+def is_law(found: AxisLaw, least: float) -> bool:
+    """Whether terms were found that explain the `least` share of what is left, or more."""
+    return bool(found.get("terms")) and bool(found["share"] >= least)
+
+
 def laws_of(offered: Library, samples: int, seed: int) -> dict[str, AxisLaw]:
     """Axis -> what its law is made of, for axes that have one."""
     labels = [axis for axis, _ in offered.columns]

@@ -1,0 +1,208 @@
+"""Held ahead: which effects of a model hold where it is fitted by what it foretells.
+
+A likelihood one sample ahead judges effects where the model is right but for them. Of a real craft
+it may ask for effects with which errors ahead grow. Then the effects are fitted as plain `greybox
+fit` fits them, and each is held against the same fit without it. Those go whose numbers gain less
+than the logarithm of how many effects were asked for each; flights that judge say what the others
+are worth.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.automatic.fit import Prepared, continued, fit_recipe, prepare, without_effects
+from greybox.automatic.front_door import fit_prepared
+from greybox.automatic.setting import Given
+from greybox.automatic.trials import QUICK, Say
+from greybox.data import Dataset
+from greybox.errors import FitError, GreyboxError
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitChoices, FitOptions
+from greybox.estimation.result import Estimate, Fit
+from greybox.model.identified import IdentifiedModel
+from greybox.model.model import PhysicsModel
+from greybox.validation.gap import TENTH
+from greybox.validation.judges import Judges
+from greybox.validation.worth import Span, Worth, clearly, seconds, worth
+
+MUCH = ((1 + TENTH) ** 2 - 1) / ((1 + TENTH) ** 2 + 1)
+"""Relative change of the squared error where the error is a tenth larger."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeldAhead:
+    """The `fit` by errors ahead with the effects that hold, and what every effect that was asked is
+    worth to it (None: nobody can tell, as nothing can be fitted without it)."""
+
+    fit: Fit
+    worth: Mapping[str, Worth | None]
+
+    def held(self, name: str) -> bool:
+        """Whether an effect that was asked is in the model of the fit."""
+        return name in self.fit.model.effects
+
+
+def held_ahead(
+    model: PhysicsModel,
+    asked: Sequence[str],
+    data: Dataset,
+    judges: Judges,
+    span: Span,
+    *,
+    fixed: Sequence[str] = (),
+    per_flight: Sequence[str] = (),
+    say: Say = lambda text: None,
+) -> HeldAhead | None:
+    """The effects of `model` fitted to `data` by errors ahead, without those of the `asked` that
+    these do not need, and what the others are worth `span` [s] ahead on flights that judge.
+
+    What is `fixed` and `per_flight` (none: decided) holds for all fits. None where nothing can be
+    fitted. Raises `DataError`, `ModelError`.
+    """
+    choices = FitChoices(fixed=fixed) if fixed else FitChoices()
+    choices |= FitChoices(per_flight=per_flight) if per_flight else FitChoices()
+    race = _Race(
+        model=model,
+        prepared=prepare(
+            model.vehicle,
+            data,
+            keep_impossible=True,
+            all_flights=True,
+            decide_rate=False,
+            keep_noise_free=True,
+        ),
+        judges=judges,
+        span=span,
+        choices=choices,
+        price=float(np.log(len(asked))),
+    )
+    with contextlib.suppress(FitError):
+        return _raced(race, list(asked), say)
+    return None
+
+
+def _raced(race: _Race, asked: list[str], say: Say) -> HeldAhead:
+    """What stays of the `asked`. Raises `FitError`."""
+    say("the effects fitted by errors ahead")
+    whole, left, told = race.fitted(()), asked, dict[str, Worth | None]()
+    held, wanted = whole, left
+    while bound := [n for n in left if _at_bound(held, n)]:
+        held = race.without(held, bound, say).fit or held
+        left = wanted = [n for n in left if n not in bound]
+        told |= dict.fromkeys(bound)
+    while wanted:
+        rows = {n: race.without(held, [n], say) for n in wanted}
+        told |= {n: row.worth for n, row in rows.items()}
+        wanted = sorted((n for n in wanted if rows[n].idle), key=lambda n: rows[n].gain)
+        going, less = wanted, race.without(held, wanted, say) if len(wanted) > 1 else None
+        if less is None or not less.idle:  # some stand for each other
+            going, less = wanted[:1], rows[wanted[0]] if wanted else None
+        if less is not None:
+            held = less.fit or held
+        left, wanted = ([n for n in some if n not in going] for some in (left, wanted))
+    if len(left) < len(asked):
+        gone = [n for n in asked if n not in left]
+        say(f"the effects fitted by errors ahead, without {', '.join(gone)}")
+        whole = race.fitted(gone)
+        told |= {n: race.without(whole, [n], say).worth for n in left}
+    return HeldAhead(fit=whole, worth=told)
+
+
+def _at_bound(held: Fit, name: str) -> bool:
+    """Whether an effect ran to a bound: its absence, or it stands for something else."""
+    return any(e.at_bound for e in _numbers(held, name))
+
+
+def _numbers(held: Fit, name: str) -> list[Estimate]:
+    """Estimates of the numbers of an effect."""
+    return [e for n, e in held.parameters.items() if n.split(".")[0] == name]
+
+
+def is_bent(
+    found: Fit, data: Dataset, judges: Judges, span: Span, lawful: IdentifiedModel | None = None
+) -> bool:
+    """Whether the likelihood of `data`, which a fit was found by, bends its model: fitted by errors
+    ahead the same model foretells flights that judge clearly better, and by a tenth of the error,
+    `span` [s] ahead. So nobody believes that these effects and gusts made the flights. `lawful` is
+    the model of a fit with laws beside, which then has to foretell as well."""
+    model = found.model
+    shared = [n for n, e in found.parameters.items() if e.scope == "shared"]
+    options = FitOptions(
+        predictor="multi-step",
+        solver=QUICK,
+        free=tuple(found.parameters),
+        per_flight=tuple(n for n in found.parameters if n not in shared),
+        initialisation="nominal",
+    )
+    try:
+        ahead = fit(model.dynamics, data, continued(options, found)).model
+    except GreyboxError:
+        return False
+    old, new = judges.errors(lawful or model), judges.errors(ahead)
+    gains = np.zeros(0) if old is None or new is None else seconds(old, new, span)
+    return clearly(gains) and float(gains.mean()) > MUCH
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Without:
+    """The fit without some effects, None where nothing can be fitted, and what they are worth to
+    the fit with them; `gain` is what its cost loses by them, less the price of their numbers."""
+
+    fit: Fit | None = None
+    worth: Worth | None = None
+    gain: float = np.inf
+
+    @property
+    def idle(self) -> bool:
+        """Whether flights that are fitted do without them."""
+        return self.fit is not None and self.gain <= 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Race:
+    """The flights, and what holds for every fit."""
+
+    model: PhysicsModel
+    prepared: Prepared
+    judges: Judges
+    span: Span
+    choices: FitChoices
+    price: float
+
+    def fitted(self, gone: Sequence[str]) -> Fit:
+        """The automatic fit with all effects but those that are `gone`."""
+        vehicle = self.model.vehicle
+        stated = {*vehicle.effects, *gone}
+        given = Given(
+            effects=tuple(e for e in self.model.effects if e.name not in stated),
+            input=self.model.input,
+            kinematic_noise=self.model.kinematic_noise,
+            adapt=self.judges.adapt,
+            choices=self.choices,
+        )
+        return fit_prepared(vehicle, self.prepared, given)
+
+    def without(self, held: Fit, names: Sequence[str], say: Say) -> _Without:
+        """What effects `names` are worth to the fit, by one that goes on without them."""
+        say(f"errors ahead without {', '.join(names)}")
+        recipe = held.provenance.recipe
+        assert recipe is not None
+        going_on = replace(recipe, options=continued(recipe.options, held))
+        effects = [e for e in recipe.effects if getattr(e, "name", e) in names]
+        try:
+            less = without_effects(going_on, effects)
+            bare = fit_recipe(self.model.vehicle, self.prepared.data, less)
+        except GreyboxError:
+            return _Without()
+        bare = bare.with_history(less, ())
+        old, new = self.judges.errors(bare.model), self.judges.errors(held.model)
+        return _Without(
+            fit=bare,
+            worth=None if old is None or new is None else worth(old, new, self.span),
+            gain=bare.cost - held.cost - sum(len(_numbers(held, n)) for n in names) * self.price,
+        )

@@ -1,0 +1,87 @@
+"""Where the likelihood bends a model, its effects are fitted by errors ahead: those that the flights
+need stay, and flights that judge say what these are worth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.automatic.held_ahead import HeldAhead, held_ahead, is_bent
+from greybox.estimation.fit import fit
+from greybox.estimation.result import Fit
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.model.model import PhysicsModel, build_model
+from greybox.validation.judges import Judges
+from tests.automatic.craft import RATES, flights, vehicle
+
+DAMPING, SPAN = 4e-5, (0.1, 1.0)
+ASKED = ("motor_lag", "rotational_damping", "gyro_scale", "products_of_inertia")
+TAU = "motor_lag.tau"
+
+
+@pytest.fixture(scope="module")
+def train():
+    return flights(RATES, damping=DAMPING)
+
+
+@pytest.fixture(scope="module")
+def judges() -> Judges:
+    return Judges(flights=flights(RATES, seeds=(3, 4), seconds=16.0, damping=DAMPING), adapt=0.0)
+
+
+def model(train, *effects: str) -> PhysicsModel:
+    there = (*effects, "command_delay", "gyro_bias")
+    return build_model(vehicle(), train.channels, there, sample_time=train.flights[0].dt)
+
+
+@pytest.fixture(scope="module")
+def race(train, judges) -> HeldAhead:
+    return held_ahead(model(train, *ASKED), ASKED, train, judges, span=SPAN)
+
+
+def test_what_flights_need_stays_and_what_they_do_without_goes(race):
+    assert [n for n in ASKED if race.held(n)] == ["motor_lag", "rotational_damping"]
+    assert set(race.worth) == set(ASKED)
+    lag = race.fit[TAU]
+    assert abs(lag.value - 0.05) < 3 * lag.std
+    assert {"command_delay", "gyro_bias"} <= set(race.fit.model.effects)
+
+
+def test_it_says_what_they_are_worth_to_flights_that_judge(race):
+    damping = race.worth["rotational_damping"]
+    assert damping is not None
+    assert damping.matters and not damping.harms
+    assert damping.group == "rate"
+    assert damping.log_e > np.log(len(ASKED) / 0.05)
+
+
+def told(train, **choices) -> Fit:
+    lacking = model(train, "motor_lag", "rotational_damping")
+    return fit(lacking, train, disturbance=("torque",), **choices)
+
+
+def elsewhere(train) -> Fit:
+    none = LevenbergMarquardt(max_iterations=0)
+    return told(train, values={TAU: 0.2}, initialisation="nominal", solver=none)
+
+
+def test_a_model_that_its_likelihood_does_not_bend_is_not_said_to_be(train, judges):
+    found = told(train)
+    assert found.converged
+    assert not is_bent(found, train, judges, SPAN)
+
+
+def test_one_whose_numbers_errors_ahead_would_have_elsewhere_is(train, judges):
+    """A lag four times as long foretells worse, whatever the likelihood says for it."""
+    found = elsewhere(train)
+    assert found[TAU].value == pytest.approx(0.2)
+    assert is_bent(found, train, judges, SPAN)
+
+
+def test_where_flights_that_judge_tell_nothing_nobody_says_so(train, judges):
+    found = elsewhere(train)
+    short = Judges(flights=flights(RATES, seeds=(3,), seconds=1.2, damping=DAMPING), adapt=0.0)
+    assert not is_bent(found, train, short, SPAN)
+    assert is_bent(found, train, replace(judges, _known={}), SPAN)

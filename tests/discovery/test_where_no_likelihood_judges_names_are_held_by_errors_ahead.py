@@ -1,0 +1,125 @@
+"""Where the likelihood bends a model, a name is supported at best: by what it is worth to errors
+ahead. A law that explains what is left comes first."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import greybox.discovery.workflow
+from greybox.discovery.document import DiscoveryDocument
+from greybox.discovery.further import further
+from greybox.discovery.left import Left
+from greybox.discovery.name import by_errors_ahead
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import _Run
+from greybox.validation.worth import Worth
+from tests.discovery import small_world
+
+BAR = 6.4
+GOOD = Worth(share=0.9, seen=True, group="rate", horizon=0.5, log_e=7.0, seconds=30)
+
+
+@pytest.mark.parametrize(
+    ("worth", "kept", "status", "says"),
+    [
+        (GOOD, True, "supported", ""),
+        (replace(GOOD, log_e=4.0), True, "not certified", "log10 e 1.7 of 2.8"),
+        (replace(GOOD, share=0.01), True, "not certified", "log10 e 3.0 of 2.8"),
+        (replace(GOOD, log_e=-1.0, harms=True), True, "not certified", "clearly grow with it"),
+        (GOOD, False, "not certified", "flights do without it"),
+        (None, True, "not certified", "can be told without it"),
+    ],
+)
+def test_what_errors_ahead_say_of_a_name(worth, kept, status, says):
+    name = by_errors_ahead("rotor_drag", worth, kept, BAR)
+    assert name.status == status
+    assert says in name.reason
+    assert bool(name.reason) == (status != "supported")
+    assert name.kept == (kept and status != "supported")
+
+
+@dataclass(frozen=True)
+class Of:
+    structure: frozenset[str]
+
+
+LAST, NAMED, LAWS = Of(frozenset({"lag", "drag"})), Of(frozenset({"lag"})), Of(frozenset({"law"}))
+
+
+@pytest.fixture
+def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """(names by name, the structure, what is left) of a search that ended at LAST and named NAMED,
+    of which those that are `bent` are; `lawful`: laws were found, `mended`: they mend that."""
+    race = SimpleNamespace(fit="by errors ahead", worth={"lag": GOOD, "drag": GOOD})
+    race.held = lambda name: name == "lag"
+    monkeypatch.setattr(greybox.discovery.workflow, "held_ahead", lambda *_, **_said: race)
+    monkeypatch.setattr(greybox.discovery.workflow, "physics_of", lambda _: "physics")
+    by_likelihood = [by_errors_ahead(n, GOOD, n == "lag", BAR) for n in ("lag", "drag")]
+
+    def answer(*bent: Any, lawful: bool = False, mended: bool = False) -> Any:
+        run: Any = SimpleNamespace(
+            then=None,
+            warnings=[],
+            bar=BAR,
+            ahead=False,
+            judges=None,
+            options=SimpleNamespace(fixed=(), per_flight=()),
+            bent=lambda at, laws=None: at in bent and not (laws and mended),
+            flights=SimpleNamespace(causes=None, data=None, arrived=lambda at: at),
+            say=lambda *_: None,
+            settled=lambda _: SimpleNamespace(model=SimpleNamespace(dynamics=None)),
+            _settled={},
+            _left=lambda *_: Left(axes=(), written=LAWS if lawful else None),
+            _named=lambda *_: (by_likelihood, NAMED),
+            _keep=lambda *_: None,
+            _beside_laws=lambda names, at, _laws: (names, at),
+        )
+        run._by_errors_ahead = functools.partial(_Run._by_errors_ahead, run)
+        search: Any = SimpleNamespace(
+            run=lambda at: at,
+            added=lambda at: sorted(at.structure, reverse=True),
+            contest=lambda _: {},
+            every=lambda _: None,
+            crowded_out=lambda _: [],
+        )
+        names, at, left = _Run._answer(run, search, LAST)
+        assert run.ahead == bool(run._settled)
+        return {n.name: n.status for n in names}, at, left.written, run.ahead
+
+    return answer
+
+
+def test_errors_ahead_judge_what_was_found_or_what_was_named_where_it_is_bent(answered):
+    said = {"lag": "supported", "drag": "not certified"}
+    assert answered() == (said, NAMED, None, False)
+    assert answered(LAST, NAMED) == (said, LAST, None, True)
+    assert answered(NAMED) == (said, NAMED, None, True), "traces have left it"
+
+
+def test_laws_that_foretell_as_well_come_first(answered):
+    assert answered(LAST, NAMED, lawful=True, mended=True)[2:] == (LAWS, False)
+    assert answered(LAST, NAMED, lawful=True)[2:] == (None, True)
+
+
+def test_the_line_says_so_and_no_further_flight_multiplies_it():
+    flights = small_world.damped()
+    fit = flights.settled(flights.fit({"rotational_damping"}))
+    found = Discovery(
+        verdict="named",
+        names=(by_errors_ahead("rotational_damping", GOOD, True, BAR),),
+        fit=fit,
+        omega_known=True,
+        seconds=1.0,
+        ahead=True,
+    )
+    assert found.line.startswith("BY ERRORS AHEAD, as likelihood is no judge here: MISSING: rot")
+    content: DiscoveryDocument = found.to_dict()
+    assert content["by_errors_ahead"] is True
+    with pytest.raises(ValueError, match="none has an e-value by likelihood"):
+        further(content, fit.model, small_world.flown(seeds=(21,), name="more"))
