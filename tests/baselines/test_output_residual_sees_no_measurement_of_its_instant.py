@@ -218,7 +218,7 @@ def test_a_file_keeps_it_and_says_what_it_is(trained, tmp_path):
         for a, b in zip(again.one_step(segment), trained.one_step(segment))
     )
     assert again.parameters == trained.parameters
-    with pytest.raises(FileFormatError, match="OutputHybrid"):
+    with pytest.raises(FileFormatError, match="a predictor of outputs"):
         load_model(path)
     body = json.loads(path.read_text())
     body["outputs"] = ["q"]
