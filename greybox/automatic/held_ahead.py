@@ -114,13 +114,18 @@ def _raced(race: _Race, asked: list[str], say: Say) -> HeldAhead:
 
 
 def _at_bound(held: Fit, name: str) -> bool:
-    """Whether an effect ran to a bound: its absence, or it stands for something else."""
-    return any(e.at_bound for e in _numbers(held, name))
+    """Whether an effect ran to a bound: all of it to its absence (where the automatic fit holds it,
+    and estimates nothing of it), or a number of it elsewhere, as it stands for something else."""
+    null = {d.name: d.null for d in held.model.dynamics.parameters}
+    own = _numbers(held, name)
+    absent = [e.at_bound and e.value == null.get(n) for n, e in own.items()]
+    bound = [e.at_bound for e in own.values()]
+    return all(absent) or bound != absent
 
 
-def _numbers(held: Fit, name: str) -> list[Estimate]:
-    """Estimates of the numbers of an effect."""
-    return [e for n, e in held.parameters.items() if n.split(".")[0] == name]
+def _numbers(held: Fit, name: str) -> dict[str, Estimate]:
+    """Estimates of the numbers of an effect, by name."""
+    return {n: e for n, e in held.parameters.items() if n.split(".")[0] == name}
 
 
 def is_bent(

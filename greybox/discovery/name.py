@@ -87,12 +87,11 @@ def held(name: Name) -> Name:
 def by_errors_ahead(name: str, worth: Worth | None, kept: bool, bar: float) -> Name:
     """A name where no likelihood judges: `worth` to a model fitted by errors ahead, in which it is
     `kept` or not; what these tell is an e-process, which needs the `bar`."""
-    log_e = -np.inf if worth is None else worth.log_e
-    reason = f"errors ahead tell for it by log10 e {log_e / LOG10:.1f} of {bar / LOG10:.1f}"
-    if not kept:
-        reason = "fitted by errors ahead, flights do without it"
-    elif worth is None or worth.harms:
-        reason = "errors ahead clearly grow with it" if worth else "none can be told without it"
+    log_e = 0.0 if worth is None else worth.log_e
+    reason = "no fit ends without it" if kept else "fitted by errors ahead, flights do without it"
+    if kept and worth is not None:
+        reason = f"it removes {max(worth.share, 0.0):.1%} of errors ahead at most, log10 e "
+        reason += f"{log_e / LOG10:.1f} of {bar / LOG10:.1f}" + ": they grow with it" * worth.harms
     enough = kept and worth is not None and worth.matters and log_e >= bar
     told = Certificate(name=name, rivals={(): log_e})
     said = Name(name=name, status="supported", certificate=told, worth=worth)

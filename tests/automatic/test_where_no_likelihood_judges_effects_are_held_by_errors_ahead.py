@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.automatic.held_ahead import HeldAhead, held_ahead, is_bent
+from greybox.automatic.held_ahead import HeldAhead, _at_bound, held_ahead, is_bent
 from greybox.estimation.fit import fit
 from greybox.estimation.result import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -55,6 +55,27 @@ def test_it_says_what_they_are_worth_to_flights_that_judge(race):
     assert damping.matters and not damping.harms
     assert damping.group == "rate"
     assert damping.log_e > np.log(len(ASKED) / 0.05)
+
+
+@pytest.mark.parametrize(
+    ("bound", "goes"),
+    [
+        ({}, False),
+        ({"d_p": 0.0}, False),
+        ({"d_p": 0.0, "d_q": 0.0, "d_r": 0.0}, True),
+        ({"d_r": 0.01}, True),
+    ],
+)
+def test_what_ran_to_a_bound_is_nothing_or_stands_for_something_else(race, bound, goes):
+    """A damping that is nothing about one axis is still one."""
+    parts = {f"rotational_damping.{n}": v for n, v in bound.items()}
+    there = {
+        n: replace(e, value=parts[n], at_bound=True) if n in parts else e
+        for n, e in race.fit.parameters.items()
+    }
+    held = replace(race.fit, estimates=replace(race.fit.estimates, parameters=there))
+    assert _at_bound(held, "rotational_damping") == goes
+    assert _at_bound(held, "ground_effect"), "of which nothing is estimated"
 
 
 def told(train, **choices) -> Fit:

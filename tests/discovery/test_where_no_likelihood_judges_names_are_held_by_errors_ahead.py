@@ -29,11 +29,17 @@ GOOD = Worth(share=0.9, seen=True, group="rate", horizon=0.5, log_e=7.0, seconds
     ("worth", "kept", "status", "says"),
     [
         (GOOD, True, "supported", ""),
-        (replace(GOOD, log_e=4.0), True, "not certified", "log10 e 1.7 of 2.8"),
-        (replace(GOOD, share=0.01), True, "not certified", "log10 e 3.0 of 2.8"),
-        (replace(GOOD, log_e=-1.0, harms=True), True, "not certified", "clearly grow with it"),
+        (
+            replace(GOOD, log_e=4.0),
+            True,
+            "not certified",
+            "90.0% of errors ahead at most, log10 e 1.7 of 2.8",
+        ),
+        (replace(GOOD, share=0.01), True, "not certified", "removes 1.0% of errors ahead at most"),
+        (replace(GOOD, log_e=-1.0, harms=True), True, "not certified", "they grow with it"),
         (GOOD, False, "not certified", "flights do without it"),
-        (None, True, "not certified", "can be told without it"),
+        (None, True, "not certified", "no fit ends without it"),
+        (None, False, "not certified", "flights do without it"),
     ],
 )
 def test_what_errors_ahead_say_of_a_name(worth, kept, status, says):
