@@ -26,12 +26,8 @@ from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.result import Estimate, Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
-from greybox.validation.gap import TENTH
 from greybox.validation.judges import Judges
 from greybox.validation.worth import Span, Worth, clearly, seconds, worth
-
-MUCH = ((1 + TENTH) ** 2 - 1) / ((1 + TENTH) ** 2 + 1)
-"""Relative change of the squared error where the error is a tenth larger."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,12 +125,18 @@ def _numbers(held: Fit, name: str) -> dict[str, Estimate]:
 
 
 def is_bent(
-    found: Fit, data: Dataset, judges: Judges, span: Span, lawful: IdentifiedModel | None = None
+    found: Fit,
+    data: Dataset,
+    judges: Judges,
+    span: Span,
+    least: float,
+    lawful: IdentifiedModel | None = None,
 ) -> bool:
     """Whether the likelihood of `data`, which a fit was found by, bends its model: fitted by errors
-    ahead the same model foretells flights that judge clearly better, and by a tenth of the error,
-    `span` [s] ahead. So nobody believes that these effects and gusts made the flights. `lawful` is
-    the model of a fit with laws beside, which then has to foretell as well."""
+    ahead the same model foretells flights that judge clearly better, and by the `least` share of
+    the squared error on average, `span` [s] ahead. So nobody believes that these effects and gusts
+    made the flights. `lawful` is the model of a fit with laws beside, which then has to foretell as
+    well."""
     model = found.model
     shared = [n for n, e in found.parameters.items() if e.scope == "shared"]
     options = FitOptions(
@@ -150,7 +152,7 @@ def is_bent(
         return False
     old, new = judges.errors(lawful or model), judges.errors(ahead)
     gains = np.zeros(0) if old is None or new is None else seconds(old, new, span)
-    return clearly(gains) and float(gains.mean()) > MUCH
+    return clearly(gains) and float(gains.mean()) > least / (2.0 - least)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -23,7 +23,8 @@ class Rules:
     """Longest horizon [s]: what a model predictive controller of a multirotor looks ahead."""
     law: float = 0.25
     """Share of the unnamed force or torque, on flights that were left out, that terms must explain
-    to be called a law: half of its amplitude."""
+    to be called a law: half of its amplitude. And of the squared error ahead that a fit by errors
+    ahead must remove for no likelihood to judge: 79 simulated logs reach .1, a real craft .36."""
     colour: float = 0.02
     """Share of a channel's innovation variance that its own past must tell before its sensor's
     noise is offered colour."""

@@ -353,7 +353,7 @@ class _Run:
         """Whether the likelihood is no judge of names of a vehicle, see `is_bent`, asked once."""
         if self.options.since is None and (at, lawful) not in self._bent:
             laws = self.settled(lawful).model if lawful else None
-            asked = self.settled(at), self.flights.data, self.judges, RULES.span, laws
+            asked = self.settled(at), self.flights.data, self.judges, RULES.span, RULES.law, laws
             self._bent[at, lawful] = is_bent(*asked)
         return self._bent.get((at, lawful), False)
 
