@@ -23,7 +23,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitChoices, FitOptions
-from greybox.estimation.result import Estimate, Fit
+from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
 from greybox.validation.judges import Judges
@@ -113,15 +113,10 @@ def _at_bound(held: Fit, name: str) -> bool:
     """Whether an effect ran to a bound: all of it to its absence (where the automatic fit holds it,
     and estimates nothing of it), or a number of it elsewhere, as it stands for something else."""
     null = {d.name: d.null for d in held.model.dynamics.parameters}
-    own = _numbers(held, name)
+    own = held.of_effect(name)
     absent = [e.at_bound and e.value == null.get(n) for n, e in own.items()]
     bound = [e.at_bound for e in own.values()]
     return all(absent) or bound != absent
-
-
-def _numbers(held: Fit, name: str) -> dict[str, Estimate]:
-    """Estimates of the numbers of an effect, by name."""
-    return {n: e for n, e in held.parameters.items() if n.split(".")[0] == name}
 
 
 def is_bent(
@@ -138,12 +133,11 @@ def is_bent(
     made the flights. `lawful` is the model of a fit with laws beside, which then has to foretell as
     well."""
     model = found.model
-    shared = [n for n, e in found.parameters.items() if e.scope == "shared"]
     options = FitOptions(
         predictor="multi-step",
         solver=QUICK,
         free=tuple(found.parameters),
-        per_flight=tuple(n for n in found.parameters if n not in shared),
+        per_flight=tuple(n for n, e in found.parameters.items() if e.scope != "shared"),
         initialisation="nominal",
     )
     try:
@@ -200,9 +194,8 @@ class _Race:
         recipe = held.provenance.recipe
         assert recipe is not None
         going_on = replace(recipe, options=continued(recipe.options, held))
-        effects = [e for e in recipe.effects if getattr(e, "name", e) in names]
         try:
-            less = without_effects(going_on, effects)
+            less = without_effects(going_on, names)
             bare = fit_recipe(self.model.vehicle, self.prepared.data, less)
         except GreyboxError:
             return _Without()
@@ -211,5 +204,5 @@ class _Race:
         return _Without(
             fit=bare,
             worth=None if old is None or new is None else worth(old, new, self.span),
-            gain=bare.cost - held.cost - sum(len(_numbers(held, n)) for n in names) * self.price,
+            gain=bare.cost - held.cost - sum(len(held.of_effect(n)) for n in names) * self.price,
         )

@@ -258,7 +258,7 @@ def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
 
 def _felt(effect: str, fitted: Fit) -> bool:
     null = {d.name: d.null for d in fitted.model.dynamics.parameters}
-    own = [(n, e) for n, e in fitted.parameters.items() if n.split(".")[0] == effect]
+    own = fitted.of_effect(effect).items()
     numbers = [(null[n], *v) for n, e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
     # An estimate at a bound has no error: felt, unless that bound is its null.
     return any(

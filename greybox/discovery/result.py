@@ -128,7 +128,7 @@ class Discovery(Shown):
     def numbers_of(self, name: str) -> dict[str, document.Estimate]:
         """Estimates of a cause in the final fit, by the names of its numbers."""
         assert self.fit is not None
-        own = {n: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
+        own = self.fit.of_effect(name)
         wide = {n: float(np.hypot(e.std, self._apart(n, e.value))) for n, e in own.items()}
         std = {n: error if np.isfinite(error) else None for n, error in wide.items()}
         rows = [(n.split(".", 1)[-1], e.value, std[n], e.unit) for n, e in own.items()]

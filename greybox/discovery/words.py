@@ -147,8 +147,8 @@ def with_size(name: Name, fit: Fit) -> Name:
         return name
     sizes = (
         f"{n.split('.', 1)[-1]} = {e.value:.2g} +- {e.std:.2g} {e.unit}".rstrip()
-        for n, e in fit.parameters.items()
-        if n.split(".")[0] == name.name and np.isfinite(e.std)
+        for n, e in fit.of_effect(name.name).items()
+        if np.isfinite(e.std)
     )
     return replace(name, reason=": ".join(part for part in (", ".join(sizes), name.reason) if part))
 

@@ -129,9 +129,7 @@ def discover(
             say=say,
         ),
         test=without_lead_in(tested) if tested and vehicle else tested,
-        judges=Judges(
-            flights=train if tested is None else tested, adapt=options.adapt, seed=options.seed
-        ),
+        judges=Judges(flights=tested or train, adapt=options.adapt, seed=options.seed),
         options=options,
         settings=settings,
         say=say,

@@ -173,6 +173,10 @@ class Fit(Shown):
         """Whether the model is useful, as flights judged it; None where nobody did."""
         return self.model.verdict
 
+    def of_effect(self, effect: str) -> dict[str, Estimate]:
+        """Estimates of the numbers of an effect or a part of the noise, by their whole names."""
+        return {n: e for n, e in self.parameters.items() if n.split(".")[0] == effect}
+
     def judged(self, verdict: Verdict | None) -> Fit:
         """The same fit with the verdict of a validation (`greybox.validation.validate`)."""
         model = replace(self.model, verdict=verdict)
