@@ -137,22 +137,35 @@ def _worth(worth: WorthRow | None) -> str:
     return f"{_percent(worth['share'])} of {group}, {ahead} ahead"
 
 
-def _names(report: Report, content: DiscoveryDocument) -> None:
-    if not content["effects"]:
-        return
-    report.section("What has a name")
+def _grounds(content: DiscoveryDocument) -> str:
+    """What the e-values of the names say."""
+    if content.get("by_errors_ahead"):
+        return (
+            "The likelihood bends every model of these flights: fitted by errors ahead, what was "
+            "found foretells those that judge clearly better. So the causes were fitted by errors "
+            "ahead, and a name stands on what it is worth to that fit: its e-value says how "
+            "steadily, second by second, errors fall with it. It refutes no other cause."
+        )
     where = (
         "flights that did not propose it"
         if content["gap_on"] == "test"
         else ("halves of the flights, each judging what the other taught")
     )
-    report.paragraph(
+    return (
         f"Each name stands on {where}: its e-value says how much likelier they are with the name "
         "than with the strongest thing that could stand in its place, everything else free. If it "
         "were not there, an e-value of 100 or more would come up in one search of a hundred at "
-        "most. "
-        f"A name needs 10 to the power of {number(content['bar_log10_e'], 2)}: as many were "
-        "offered, and as many have it."
+        "most."
+    )
+
+
+def _names(report: Report, content: DiscoveryDocument) -> None:
+    if not content["effects"]:
+        return
+    report.section("What has a name")
+    report.paragraph(
+        f"{_grounds(content)} A name needs 10 to the power of "
+        f"{number(content['bar_log10_e'], 2)}: as many were offered, and as many have it."
     )
     rows: list[list[Cell]] = []
     for e in content["effects"]:

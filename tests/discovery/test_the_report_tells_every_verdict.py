@@ -151,6 +151,14 @@ def test_a_name_comes_with_its_number_its_place_and_its_gain():
     assert page.index("What has a name</h2>") < page.index("How far the gap closed</h2>")
 
 
+def test_names_by_errors_ahead_are_not_said_to_stand_on_a_likelihood():
+    told = "how much likelier they are with the name"
+    assert told in discover_report(content())
+    page = discover_report(content() | {"by_errors_ahead": True})
+    assert told not in page
+    assert "errors fall with it. It refutes no other cause. A name needs" in page
+
+
 def test_what_was_not_judged_and_not_seen_is_said():
     page = discover_report(content("nothing_missing"))
     assert "no vbat" in page
