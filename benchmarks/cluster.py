@@ -127,9 +127,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         expected = math.ceil(len(tasks) / workers) * (per_fit - send) + len(tasks) * send
         print(
             f"{workers} worker(s): {took:.2f} s, {first / took:.2f} times as fast as the first "
-            "cluster, "
-            f"{alone / took:.2f} times as one process, "
-            f"sending {empty:.3f} s; the cost model expects {expected:.2f} s",
+            f"cluster, {alone / took:.2f} times as one process, sending {empty:.3f} s; the cost "
+            f"model expects {expected:.2f} s",
             flush=True,
         )
     for workers in (4, 8):

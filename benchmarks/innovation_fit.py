@@ -706,9 +706,8 @@ def render(table: Sequence[dict[str, Any]]) -> str:
         )
         lines.append(
             f"{r['who']:50s} {more + format(r['solve_cpu_s'], '.3f'):>9s} "
-            f"{more + format(r['ratio_solve'], '.1f'):>8s} "
-            f"{r['setup_cpu_s']:8.2f} {more + format(r['ratio_with_setup'], '.1f'):>8s} "
-            f"{loglik:>11s}  {done}"
+            f"{more + format(r['ratio_solve'], '.1f'):>8s} {r['setup_cpu_s']:8.2f} "
+            f"{more + format(r['ratio_with_setup'], '.1f'):>8s} {loglik:>11s}  {done}"
         )
     lines += ["", "one evaluation of residuals and Jacobian, CPU:"]
     for r in table:

@@ -260,10 +260,9 @@ def compare(label, names, train, test) -> list[dict]:
         rows.append(row)
         print(
             f"{label['system']} {label['seed']} {label['loop']:6} n={label['order']} {name:26} "
-            f"{row['seconds']:8.4f} s  "
-            f"log det {row.get('log_det', np.nan):9.4f}  minus greybox "
-            f"{row.get('minus_greybox', np.nan):+9.4f} "
-            f"+- {row.get('std_error', np.nan):.4f} {row.get('problem', '')}",
+            f"{row['seconds']:8.4f} s  log det {row.get('log_det', np.nan):9.4f}  minus greybox "
+            f"{row.get('minus_greybox', np.nan):+9.4f} +- {row.get('std_error', np.nan):.4f} "
+            f"{row.get('problem', '')}",
             flush=True,
         )
     return rows

@@ -131,11 +131,9 @@ def main() -> None:
             rows.append(row)
             print(
                 f"{kind:8s}{row['size']:5d}{row['samples']:10d} samples {row['unknowns']:5d} "
-                "unknowns  evaluation "
-                f"{row['cpu_s']:7.2f} s CPU ({1e6 * row['cpu_s'] / row['samples']:.1f} us a "
-                "sample), "
-                f"{row['wall_s']:.2f} s wall, memory {row['peak_mb']:6.0f} MB, of which data "
-                f"{row['data_mb']:.0f}",
+                f"unknowns  evaluation {row['cpu_s']:7.2f} s CPU "
+                f"({1e6 * row['cpu_s'] / row['samples']:.1f} us a sample), {row['wall_s']:.2f} s "
+                f"wall, memory {row['peak_mb']:6.0f} MB, of which data {row['data_mb']:.0f}",
                 flush=True,
             )
     RESULTS.mkdir(exist_ok=True)

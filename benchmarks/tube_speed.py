@@ -503,8 +503,7 @@ def main() -> None:
     print(f"load {load}")
     content = {
         "question": "How long does a step of the tube controller take, and the same problem solved "
-        "to the end, next to "
-        "IPOPT, do-mpc and acados?",
+        "to the end, next to IPOPT, do-mpc and acados?",
         "unit": "ms, wall and CPU time of the thread",
         "machine": platform.machine(),
         "cores": os.cpu_count(),

@@ -178,9 +178,8 @@ def _main(argv: Sequence[str] | None, last_line: Callable[[str], None]) -> int:
     if (other := other_greybox()) is not None:
         print(
             f"greybox: this environment also holds another package called greybox ({other}), which "
-            "puts its files into the "
-            "same folder. Usual fix: pip uninstall greybox && pip install --force-reinstall "
-            f"{NAME}",
+            "puts its files into the same folder. Usual fix: pip uninstall greybox && pip install "
+            f"--force-reinstall {NAME}",
             file=sys.stderr,
         )
 

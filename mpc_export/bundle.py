@@ -318,15 +318,13 @@ def describe(bundle: ExportBundle) -> str:
         f"{bundle.folder}: {m['model']['name']}, {m['sample_time']:g} s a sample"
         + (" (from the cache)" if bundle.cached else ""),
         f"  states {sizes['n_x']} (error states {sizes['n_d']}), commands {sizes['n_u']}, outputs "
-        f"{sizes['n_y']}, run-time "
-        f"parameters {sizes['n_p']}",
+        f"{sizes['n_y']}, run-time parameters {sizes['n_p']}",
         f"  functions: {', '.join(f['name'] for f in m['functions'])}",
     ]
     if m["c"]:
         lines.append(
             f"  C: {m['c']['real']}, {m['c']['source_bytes'] / 1e3:.0f} kB of source, work "
-            f"{m['c']['work_bytes']} bytes; "
-            f"python -m mpc_export.verify {bundle.folder}"
+            f"{m['c']['work_bytes']} bytes; python -m mpc_export.verify {bundle.folder}"
         )
     if m["reduction"]:
         cost = m["reduction"]

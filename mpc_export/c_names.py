@@ -36,8 +36,7 @@ HEADERS = _set(
 """NAME.h of these names would stand before the system's, which includes its own by them."""
 TARGETS = _set(
     "all all_build c clean debug depend edit_cache general help install m optimized package "
-    "package_source preinstall properties px4 rebuild_cache run_tests test u "
-    "zero_check"
+    "package_source preinstall properties px4 rebuild_cache run_tests test u zero_check"
 )
 """Of CMake, in whatever letters, libraries of the system (lib`c`, lib`m`), and what the system puts
 before an underscore itself: `u_int`, PX4_OK."""

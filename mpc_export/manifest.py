@@ -35,8 +35,7 @@ FRAMES = {
     "body": "FLU: x forward, y left, z up; thrust along +z",
     "attitude": "unit quaternion (w, x, y, z), body to world",
     "error_state": "q = q_hat * exp(d_attitude/2), p = p_hat + R_hat d_position, v = v_hat + R_hat "
-    "d_velocity, the rest by "
-    "addition: body axes of the estimate",
+    "d_velocity, the rest by addition: body axes of the estimate",
     "matrices": "column by column, all entries",
 }
 TOLERANCE = {"double": 1e-10, "float": 1e-4}
@@ -331,8 +330,7 @@ def _integrator(f: ModelFunctions) -> str:
     )
     return (
         "rotor lag exactly (exponential), rigid body by one classical Runge-Kutta 4 step per "
-        "sample, quaternion brought "
-        f"back to unit length{learned}"
+        f"sample, quaternion brought back to unit length{learned}"
     )
 
 
@@ -452,8 +450,7 @@ def _notes(f: ModelFunctions) -> list[str]:
     if not math.isclose(f.dt, f.identified_dt, rel_tol=1e-9):
         out.append(
             f"identified at {f.identified_dt:g} s and exported at {f.dt:g} s: white noise keeps "
-            "its intensity, the sensor "
-            "noise of one sample stays"
+            "its intensity, the sensor noise of one sample stays"
         )
     window = f.sampled.dynamics.window
     physics = physics_of(f.sampled.dynamics)

@@ -66,8 +66,7 @@ def licences(with_c: bool) -> dict[str, str]:
     head, body = MIT.split("\n\n", 1)
     own = (
         "The wrapper, the self-test, the kernels of the learned part, rebuild.py, consumers and "
-        "examples come from "
-        f"greybox:\n\n{head}\n\n"
+        f"examples come from greybox:\n\n{head}\n\n"
     )
     out = {"greybox-MIT.txt": f"{own}{_copyright()}\n\n{body}"}
     if with_c:
@@ -82,8 +81,7 @@ def readme(manifest: Manifest) -> str:
         f"# {n}: {plain(m['model']['name'])}",
         "",
         f"A {m['model']['kind']} model that greybox {m['versions']['greybox']} identified, "
-        f"{m['sample_time']:g} s a sample, "
-        "as code. It needs nothing of greybox.",
+        f"{m['sample_time']:g} s a sample, as code. It needs nothing of greybox.",
         "",
         *(_in_c(n, m["c"]) if m["c"] else ()),
         *IN_PYTHON,
@@ -120,16 +118,14 @@ def _in_c(n: str, c: CPart) -> list[str]:
         "",
         f"In C and C++ include `c/{n}_model.h`, in CMake `add_subdirectory(c)` and link `{n}`. "
         f"`c/{n}_example.cpp` is a program to start from. For speed add `-O3 -march=native "
-        "-ffp-contract=fast`, never "
-        "`-ffast-math`.",
+        "-ffp-contract=fast`, never `-ffast-math`.",
         "",
         "Another export into this folder replaces files that are as they were written, and any `build/`. "
         "It stops at any that was changed or added.",
         "",
-        f"Source {c['source_bytes'] / 1e3:.0f} kB, numbers in {c['real']}, work "
-        f"space {c['work_bytes']} "
-        "bytes per thread (on a 64-bit machine). No malloc, no stdio, no variables that live "
-        "between calls.",
+        f"Source {c['source_bytes'] / 1e3:.0f} kB, numbers in {c['real']}, work space "
+        f"{c['work_bytes']} bytes per thread (on a 64-bit machine). No malloc, no stdio, no "
+        "variables that live between calls.",
         "",
     ]
 
@@ -143,11 +139,9 @@ IN_PYTHON = (
     'f_d = rebuild.load()["f_d"]  # casadi.Function: x_next = f_d(x, u, p)',
     "```",
     "",
-    "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote "
-    "them only. `golden/*.csv` "
-    "hold arguments and results of every function. `manifest.json` says all of this, and the "
-    "noise of the identified "
-    "filter, to programs.",
+    "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote them "
+    "only. `golden/*.csv` hold arguments and results of every function. `manifest.json` says all "
+    "of this, and the noise of the identified filter, to programs.",
     "",
 )
 
@@ -211,9 +205,8 @@ def _order(m: Manifest) -> list[str]:
     if own < m["sizes"]["n_x"]:
         lines += [
             f"The first {own} states are the model's own; `f` takes these alone and knows no "
-            "delay. The rest is the history "
-            "of commands, `history.u.k` the command of k samples ago. "
-            f"{m['delay']['form'][0].upper()}{m['delay']['form'][1:]}.",
+            "delay. The rest is the history of commands, `history.u.k` the command of k samples "
+            f"ago. {m['delay']['form'][0].upper()}{m['delay']['form'][1:]}.",
             "",
         ]
     return lines

@@ -476,8 +476,7 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
         parts[what] = gaps[name] <= limit
         say(
             f"  {what}: largest difference {gaps[name]:.2g} of the output's scale, in {name} "
-            f"(limit {limit:g}): "
-            f"{'passed' if parts[what] else 'FAILED'}"
+            f"(limit {limit:g}): {'passed' if parts[what] else 'FAILED'}"
         )
     for what, (passed, told) in programs_found.items():
         parts[what] = passed

@@ -23,8 +23,7 @@ from greybox.examples import ROOT
 FLIGHTS = ("B2_circle_fast_rep1", "B3_figure8_slow_rep1", "B3_figure8_fast_rep1")
 FIT = (
     "greybox.cli fit --vehicle vehicle.toml --train B2_circle_fast_rep1.csv.gz "
-    "B3_figure8_slow_rep1.csv.gz "
-    "--test B3_figure8_fast_rep1.csv.gz --out fit"
+    "B3_figure8_slow_rep1.csv.gz --test B3_figure8_fast_rep1.csv.gz --out fit"
 )
 LARGEST = 150_000
 """Bytes of a picture."""
@@ -55,8 +54,7 @@ PAGES = {
     ),
     "learn": Page(
         "greybox.cli learn fit/model.json --train B2_circle_fast_rep1.csv.gz "
-        "B3_figure8_slow_rep1.csv.gz "
-        "--test B3_figure8_fast_rep1.csv.gz --out learn",
+        "B3_figure8_slow_rep1.csv.gz --test B3_figure8_fast_rep1.csv.gz --out learn",
         "learn/report.html",
         "",
     ),

@@ -96,8 +96,7 @@ def sound_flights(
             if factor > ANOTHER:
                 out[name] = (
                     f"at the same command its thrust over weight is {ratio / middle:.2f} times "
-                    "that of the other "
-                    "flights, as of another craft"
+                    "that of the other flights, as of another craft"
                 )
     kept = [n for n in data.names if n not in out]
     return data.select(kept), tuple(LeftOut(flight=n, reason=r) for n, r in out.items())

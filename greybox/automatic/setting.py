@@ -237,8 +237,7 @@ def _held(options: FitOptions, vehicle: Vehicle, given: Given, note: Note) -> Fi
         note(
             better.name,
             f"held at {better.nominal:.4g} {better.unit}",
-            f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its "
-            "own "
+            f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its own "
             f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
             "--fixed, --considered",
         )

@@ -13,9 +13,8 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     parser = subparsers.add_parser(
         "check",
         help="look for data faults in flight logs",
-        description="Look for faults of clock, units, frames, motor order and alignment, and of the "
-        "vehicle file. "
-        "Exit code 0: nothing blocks a fit; 1: a fault does; 2: bad input.",
+        description="Look for faults of clock, units, frames, motor order and alignment, and of "
+        "the vehicle file. Exit code 0: nothing blocks a fit; 1: a fault does; 2: bad input.",
     )
     parser.add_argument(
         "logs", nargs="+", metavar="LOG", help="flight log of any format (docs/logs.md)"

@@ -22,25 +22,21 @@ PREDICTION_ERROR = (
 )
 HYBRID = (
     "Ghoul, Bousserhane and Boufeldja 2026, A Hybrid PEM-GP Framework for Uncertainty-Aware System "
-    "Identification of "
-    "Quadcopters, International Journal of Control, Automation and Systems 24(8)"
+    "Identification of Quadcopters, International Journal of Control, Automation and Systems 24(8)"
 )
 DISTURBANCE = (
     "Kristensen, Madsen and Jorgensen 2004, A method for systematic improvement of stochastic "
-    "grey-box models, Computers "
-    "& Chemical Engineering 28(8)"
+    "grey-box models, Computers & Chemical Engineering 28(8)"
 )
 CASADI = (
     "Andersson, Gillis, Horn, Rawlings and Diehl 2019, CasADi: a software framework for nonlinear "
-    "optimization and "
-    "optimal control, Mathematical Programming Computation 11(1)"
+    "optimization and optimal control, Mathematical Programming Computation 11(1)"
 )
 DATA_SETS: Mapping[str, tuple[str, str]] = {
     "nanobench": (
         "NanoBench",
         "Ullah and Baca 2026, NanoBench: A Multi-Task Benchmark Dataset for Nano-Quadrotor System "
-        "Identification, "
-        "Control, and State Estimation, arXiv:2603.09908",
+        "Identification, Control, and State Estimation, arXiv:2603.09908",
     ),
     "arpl": (
         "ARPL Crazyflie logs",

@@ -38,13 +38,12 @@ def add(subparsers: Subcommands) -> None:
         "compare",
         help="compare linear, nonlinear, black-box and hybrid models on the same flights",
         description="Train every method on the same flights and judge them on the same samples of "
-        "others: linear and "
-        "nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an LSTM, a TCN, networks on "
-        "physics. The nonlinear model is that of plain `greybox fit`; options of it make it that of "
-        "`greybox fit --manual` with these. Writes compare.json after every method, and "
-        "report.html. Exit code 0: "
-        "done, 1: a method failed (its row says why), a fault of the data blocks, or the model of "
-        "--fitted is not finished, 2: bad input, 130: interrupted (the same command goes on).",
+        "others: linear and nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an "
+        "LSTM, a TCN, networks on physics. The nonlinear model is that of plain `greybox fit`; "
+        "options of it make it that of `greybox fit --manual` with these. Writes compare.json "
+        "after every method, and report.html. Exit code 0: done, 1: a method failed (its row says "
+        "why), a fault of the data blocks, or the model of --fitted is not finished, 2: bad input, "
+        "130: interrupted (the same command goes on).",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
@@ -103,8 +102,7 @@ def _method_options(p: argparse.ArgumentParser) -> None:
         default=(),
         metavar="a,b",
         help="also every model (linear SISO, linear MIMO, nonlinear) with these learners, as in "
-        "greybox learn; "
-        "all: every learner that there is",
+        "greybox learn; all: every learner that there is",
     )
 
 

@@ -17,11 +17,9 @@ def add(subparsers: Subcommands) -> None:
         "demo",
         help="check, fit and judge shipped real flights; find an effect that a simulation hides",
         description="Check the shipped flights of a Crazyflie, fit them by the plain command, "
-        "judge "
-        "the model on flights that the fit never saw, and write a page. Then hide an effect in a "
-        "simulated vehicle and let `greybox discover` look for it. Every command is printed before "
-        "it "
-        "runs. A few minutes. Exit code 0: done; 1: a model is not usable; 2: bad input.",
+        "judge the model on flights that the fit never saw, and write a page. Then hide an effect "
+        "in a simulated vehicle and let `greybox discover` look for it. Every command is printed "
+        "before it runs. A few minutes. Exit code 0: done; 1: a model is not usable; 2: bad input.",
     )
     # Not `out`: the commands that run inside lock their own folders.
     p.add_argument(

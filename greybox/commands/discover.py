@@ -44,14 +44,12 @@ def add(subparsers: Subcommands) -> None:
         "discover",
         help="find, name and add the effects that a vehicle file, or a model of your own, misses",
         description="Find where simulation and flights disagree, name what is missing with an "
-        "e-value from flights that did "
-        "not propose it, add it and show how far the gap closed. Writes discovery.json, model.json "
-        "(the improved model), "
-        "report.html and, where what is left follows a law, proposal_<n>.py and "
-        "model_with_laws.json. Exit code 0: done, 1: not searched, as a fault of a log or of the "
-        "vehicle file blocks, or the model of --from is not finished, 2: bad input, 130: "
-        "interrupted (the files hold what was found until "
-        "then, and the same command goes on).",
+        "e-value from flights that did not propose it, add it and show how far the gap closed. "
+        "Writes discovery.json, model.json (the improved model), report.html and, where what is "
+        "left follows a law, proposal_<n>.py and model_with_laws.json. Exit code 0: done, 1: not "
+        "searched, as a fault of a log or of the vehicle file blocks, or the model of --from is "
+        "not finished, 2: bad input, 130: interrupted (the files hold what was found until then, "
+        "and the same command goes on).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
     model_file_option(p, read=False)

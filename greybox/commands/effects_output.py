@@ -85,15 +85,12 @@ def _page() -> Iterator[str]:
     yield ""
     yield (
         "Physics that the rigid body with rotors does not have by itself and that a fit can add by "
-        "name "
-        "(`--effects a,b`). Every effect lives in one stage, is absent at its null, and combines "
-        "with others in a way "
-        "that does not depend on the order in which they are listed. Generated from the "
-        "declarations by "
-        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same with "
-        "the sources of each. "
-        "Per rad/s of the rotors becomes per nu where the vehicle file has no speed_max. "
-        "Effects of your own: [own_effect.md](own_effect.md)."
+        "name (`--effects a,b`). Every effect lives in one stage, is absent at its null, and "
+        "combines with others in a way that does not depend on the order in which they are listed. "
+        "Generated from the declarations by `python -m greybox.commands.effects --markdown`; "
+        "`greybox effects` prints the same with the sources of each. Per rad/s of the rotors "
+        "becomes per nu where the vehicle file has no speed_max. Effects of your own: "
+        "[own_effect.md](own_effect.md)."
     )
     for stage, meaning in STAGES.items():
         members = [e for e in CATALOGUE if e.stage == stage]

@@ -37,13 +37,10 @@ def add(commands: Subcommands) -> None:
         "export",
         help="write a fitted model as C and CasADi for a controller",
         description="Write anything fitted (physics, hybrid, linear, output hybrid, NARX, LSTM, "
-        "Gaussian "
-        "process) as a folder that a controller can use without "
-        "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a "
-        "manifest. An existing folder "
-        "is replaced only when it is such a bundle, as it was written. Exit code 0: done, 1: refused, as the model is "
-        "not usable, 2: bad "
-        "input.",
+        "Gaussian process) as a folder that a controller can use without greybox: C with a "
+        "self-test, CasADi functions rebuilt from numbers, golden vectors, a manifest. An existing "
+        "folder is replaced only when it is such a bundle, as it was written. Exit code 0: done, "
+        "1: refused, as the model is not usable, 2: bad input.",
     )
     p.add_argument(
         "model",

@@ -48,13 +48,11 @@ def add(subparsers: Subcommands) -> None:
         "fit",
         help="fit a Newton-Euler model to flight logs",
         description="Fit a Newton-Euler model to flight logs by the prediction error method. What "
-        "is not said is decided "
-        "from the flights, each choice with its reason; command.sh says all of them. "
-        "Writes fit.json, model.json "
-        "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not "
-        "usable, or a fault of all flights or of the vehicle file blocks, or the model of --from is "
-        "not finished, 2: bad input, 130: "
-        "interrupted (the same command goes on; with --model-file it starts again).",
+        "is not said is decided from the flights, each choice with its reason; command.sh says all "
+        "of them. Writes fit.json, model.json and report.html. Exit code 0: usable (or the flights "
+        "are too calm to judge), 1: not usable, or a fault of all flights or of the vehicle file "
+        "blocks, or the model of --from is not finished, 2: bad input, 130: interrupted (the same "
+        "command goes on; with --model-file it starts again).",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p, read=False)

@@ -38,14 +38,11 @@ def add(subparsers: Subcommands) -> None:
         "frf",
         help="frequency response of flights, with coherence and 95 %% bands",
         description="Magnitude, phase, coherence and 95 % bands of outputs over inputs, straight "
-        "from "
-        "the flights, with gain and lag. A channel is a column, a sum of columns ('a=u1+u2'), or "
-        "with "
-        "a vehicle a mixed command: roll, pitch, yaw, thrust. With --model the model's own "
-        "response "
-        "lies over it, and where they part is said. Writes frf.json, frf.csv and report.html. Exit "
-        "code 0: done; 1: no frequency is usable (coherence too low, or a closed loop without "
-        "references), or the model is not finished; 2: bad input.",
+        "from the flights, with gain and lag. A channel is a column, a sum of columns ('a=u1+u2'), "
+        "or with a vehicle a mixed command: roll, pitch, yaw, thrust. With --model the model's own "
+        "response lies over it, and where they part is said. Writes frf.json, frf.csv and "
+        "report.html. Exit code 0: done; 1: no frequency is usable (coherence too low, or a closed "
+        "loop without references), or the model is not finished; 2: bad input.",
     )
     p.add_argument(
         "--train", required=True, nargs="+", metavar="LOG", help="flights; all are averaged"

@@ -20,12 +20,10 @@ def add(subparsers: Subcommands) -> None:
         "identify",
         help="do all of it: from flight logs to a judged model for a controller",
         description="inspect, check, fit, discover, fit again with what was found, learn, validate "
-        "and export, each the "
-        "plain command of its name with its own folder, and one page. The same command again goes "
-        "on where it was stopped. "
-        "A model that is NOT USABLE is not learned from or exported. Without a vehicle file the "
-        "log is asked for one. Exit "
-        "code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
+        "and export, each the plain command of its name with its own folder, and one page. The "
+        "same command again goes on where it was stopped. A model that is NOT USABLE is not "
+        "learned from or exported. Without a vehicle file the log is asked for one. Exit code 0: "
+        "usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
         "interrupted.",
     )
     p.add_argument(

@@ -24,11 +24,9 @@ def add(subparsers: Subcommands) -> None:
         "inspect",
         help="show what a log of any format holds and what greybox can use of it",
         description="Show the streams of a log (PX4 ULog, ROS bag, MCAP, Betaflight, Crazyflie, "
-        "MATLAB, Parquet, CSV) with "
-        "rates and gaps, and the channels that greybox makes of them. Says which effects they "
-        "allow, what is missing and "
-        "which logging settings would provide it. Exit code 0: the log can be used; 1: it cannot "
-        "as it is; 2: bad input.",
+        "MATLAB, Parquet, CSV) with rates and gaps, and the channels that greybox makes of them. "
+        "Says which effects they allow, what is missing and which logging settings would provide "
+        "it. Exit code 0: the log can be used; 1: it cannot as it is; 2: bad input.",
     )
     p.add_argument("log", metavar="LOG", help="flight log of any format (docs/logs.md)")
     p.add_argument(

@@ -29,8 +29,7 @@ def accept_option(p: argparse.ArgumentParser) -> None:
         default="",
         metavar="CHECK,...",
         help="checks whose blocking findings are overruled, by the name in brackets "
-        "(frozen,motors); "
-        "the result says so",
+        "(frozen,motors); the result says so",
     )
 
 

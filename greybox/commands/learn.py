@@ -47,13 +47,10 @@ def add(subparsers: Subcommands) -> None:
         "learn",
         help="learn what a fitted model misses as a Gaussian process",
         description="Learn what a fitted model misses as a Gaussian process and calibrate its "
-        "uncertainty. Writes "
-        "hybrid.json, learn.json and report.html (where nothing was worth learning, hybrid.json is "
-        "the physics with "
-        "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, or "
-        "refused, as the model is not finished, 2: "
-        "bad input, 130: interrupted (the same command goes on; on a linear model it starts "
-        "again).",
+        "uncertainty. Writes hybrid.json, learn.json and report.html (where nothing was worth "
+        "learning, hybrid.json is the physics with calibrated uncertainty). Exit code 0: usable "
+        "(or too calm to judge), 1: not usable, or refused, as the model is not finished, 2: bad "
+        "input, 130: interrupted (the same command goes on; on a linear model it starts again).",
     )
     p.add_argument(
         "model",

@@ -31,12 +31,10 @@ def add(subparsers: Subcommands) -> None:
         "linear",
         help="identify a linear state-space model",
         description="Identify x+ = A x + B u + K e, y = C x + D u + e from logs by subspace start "
-        "and prediction error "
-        "polish. Any CSV with a time column `t` works; a vehicle file is only needed for its "
-        "column names. A channel is a "
-        "column, or a sum of columns: 'roll=u4+u3-u2-u1'. Writes fit.json, model.json and "
-        "report.html. Exit code 0: "
-        "converged, 1: not converged, 2: bad input.",
+        "and prediction error polish. Any CSV with a time column `t` works; a vehicle file is only "
+        "needed for its column names. A channel is a column, or a sum of columns: "
+        "'roll=u4+u3-u2-u1'. Writes fit.json, model.json and report.html. Exit code 0: converged, "
+        "1: not converged, 2: bad input.",
     )
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="logs to fit")
     p.add_argument(

@@ -21,8 +21,7 @@ def mcap_option(p: Options) -> None:
         metavar="F.mcap",
         default=None,
         help="also write the flights beside the model's predictions, with innovations, force and "
-        "torque, for Foxglove, "
-        "Rerun or PlotJuggler",
+        "torque, for Foxglove, Rerun or PlotJuggler",
     )
 
 

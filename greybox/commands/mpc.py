@@ -27,23 +27,19 @@ def add(subparsers: Subcommands) -> None:
         "mpc",
         help="fly an identified model through a course with limits, with and without a tube",
         description="Fly controllers on an identified model through a course whose limits bind, "
-        "many seeded flights "
-        "each: the model alone, with limits tightened by a tube, with one constant back-off, and a "
-        "cascade of "
-        "PID loops. A model of your own holds outputs inside limits instead (--hold, --limit), and "
-        "`rates` flies a rate controller on a linear model with a Gaussian process. Writes "
-        "flights.jsonl (kept and resumed), mpc.json (mpc_own.json, mpc_rates.json) and report.html. Exit code 0: done, 1: "
-        "refused, "
-        "as the model is not usable, 2: bad input, 130: interrupted (the report shows what was "
-        "flown until then).",
+        "many seeded flights each: the model alone, with limits tightened by a tube, with one "
+        "constant back-off, and a cascade of PID loops. A model of your own holds outputs inside "
+        "limits instead (--hold, --limit), and `rates` flies a rate controller on a linear model "
+        "with a Gaussian process. Writes flights.jsonl (kept and resumed), mpc.json (mpc_own.json, "
+        "mpc_rates.json) and report.html. Exit code 0: done, 1: refused, as the model is not "
+        "usable, 2: bad input, 130: interrupted (the report shows what was flown until then).",
     )
     p.add_argument(
         "subject",
         metavar="MODEL.json|demo|rates",
-        help="model file of `greybox fit` or `learn`; demo: "
-        "identify a simulated vehicle with hidden effects from one flight first; rates: a linear "
-        "model of the "
-        "body rates with a process on its residual",
+        help="model file of `greybox fit` or `learn`; demo: identify a simulated vehicle with "
+        "hidden effects from one flight first; rates: a linear model of the body rates with a "
+        "process on its residual",
     )
     _world_options(p)
     _campaign_options(p)
@@ -65,9 +61,8 @@ def _world_options(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--plant",
         metavar="MODULE:ATTRIBUTE",
-        help="the vehicle that is flown, with reset, step, "
-        "measure and truth (default: "
-        "the model itself, disturbed; Python code that is run, only what you trust)",
+        help="the vehicle that is flown, with reset, step, measure and truth (default: the model "
+        "itself, disturbed; Python code that is run, only what you trust)",
     )
     p.add_argument(
         "--log",

@@ -30,13 +30,10 @@ def add(subparsers: Subcommands) -> None:
         "plan",
         help="propose excitation flights, with the standard errors to expect",
         description="Propose excitation flights within limits, chosen for the information that "
-        "they give about the "
-        "parameters (D-optimal), with expected standard errors and the effects they separate. "
-        "Writes plan.json, setpoints "
-        "and expected log per flight (flight_1.csv, expected_1.csv), plan.png and report.html. "
-        "Exit code 0: done; 1: done, "
-        "but nothing will be known of some wanted parameter, or the model is not finished; 2: bad "
-        "input.",
+        "they give about the parameters (D-optimal), with expected standard errors and the effects "
+        "they separate. Writes plan.json, setpoints and expected log per flight (flight_1.csv, "
+        "expected_1.csv), plan.png and report.html. Exit code 0: done; 1: done, but nothing will "
+        "be known of some wanted parameter, or the model is not finished; 2: bad input.",
     )
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
     model_file_option(p)

@@ -33,12 +33,10 @@ def add(subparsers: Subcommands) -> None:
         "profile",
         help="likelihood intervals of single parameters of a fit",
         description="Hold one parameter along a grid, fit all others again, and give the interval "
-        "in which the likelihood "
-        "ratio keeps it: right where a symmetric error bar is not (bounds, ratios, weak "
-        "excitation). Writes profile.json "
-        "and report.html. Exit code 0: done; 1: done, and an interval has no end on one side, or "
-        "refused, as the model is not finished; 2: "
-        "bad input.",
+        "in which the likelihood ratio keeps it: right where a symmetric error bar is not (bounds, "
+        "ratios, weak excitation). Writes profile.json and report.html. Exit code 0: done; 1: "
+        "done, and an interval has no end on one side, or refused, as the model is not finished; "
+        "2: bad input.",
     )
     p.add_argument(
         "model",

@@ -17,11 +17,10 @@ def add(subparsers: Subcommands) -> None:
         "selftest",
         help="try what is installed, with known answers: compiler, fit, export, readers, PyTorch",
         description="Try what is installed and hold it against known answers: CasADi, C compiler, "
-        "a "
-        "fit of a simulated flight, a page, an export that is compiled and compared, log readers, "
-        "the "
-        "shipped flights, PyTorch. One line each, with the usual fix. Exit code 0: all that is "
-        "installed works ('missing' is optional); 1: something is broken; 2: bad usage.",
+        "a fit of a simulated flight, a page, an export that is compiled and compared, log "
+        "readers, the shipped flights, PyTorch. One line each, with the usual fix. Exit code 0: "
+        "all that is installed works ('missing' is optional); 1: something is broken; 2: bad "
+        "usage.",
     )
     p.set_defaults(run=run)
 

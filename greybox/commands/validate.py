@@ -36,11 +36,9 @@ def add(commands: Subcommands) -> None:
         "validate",
         help="judge a model on flights that it never saw",
         description="Open-loop errors of a model over several horizons, with persistence and dead "
-        "reckoning beside them, "
-        "errors one step ahead, coverage and residual tests. Faults of the logs are said first. "
-        "Exit code 0: usable, or too calm to judge; 1: not usable, on all flights together or on "
-        "most of them alone; "
-        "2: bad input.",
+        "reckoning beside them, errors one step ahead, coverage and residual tests. Faults of the "
+        "logs are said first. Exit code 0: usable, or too calm to judge; 1: not usable, on all "
+        "flights together or on most of them alone; 2: bad input.",
     )
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
     p.add_argument(

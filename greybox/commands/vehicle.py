@@ -36,8 +36,7 @@ def add(subparsers: Subcommands) -> None:
         "vehicle",
         help="write a vehicle file, or say what in one is implausible",
         description="Write a vehicle file (new) or judge one (check). Exit code 0: done; 1: check "
-        "found something that "
-        "no craft has; 2: bad input.",
+        "found something that no craft has; 2: bad input.",
     )
     kinds = parser.add_subparsers(dest="vehicle_command", required=True, metavar="new|check")
     new = kinds.add_parser(
@@ -45,12 +44,10 @@ def add(subparsers: Subcommands) -> None:
         help="write a vehicle file from a template, a log, a simulator's file, or from answers on "
         "a terminal",
         description="Write a vehicle file. --from takes motor order, spins, arms and the hover "
-        "command from a log of PX4, "
-        "Betaflight or a Crazyflie, and says what you must measure; or the whole craft from a "
-        "simulator's file: SDF, "
-        "URDF, MJCF, RotorPy (.py), crazyflow (.toml), PX4 (.params). Without --template and "
-        "--from questions are asked on "
-        "the terminal. Templates: " + "; ".join(f"{k}: {v}" for k, v in TEMPLATES.items()) + ".",
+        "command from a log of PX4, Betaflight or a Crazyflie, and says what you must measure; or "
+        "the whole craft from a simulator's file: SDF, URDF, MJCF, RotorPy (.py), crazyflow "
+        "(.toml), PX4 (.params). Without --template and --from questions are asked on the "
+        "terminal. Templates: " + "; ".join(f"{k}: {v}" for k, v in TEMPLATES.items()) + ".",
     )
     new.add_argument("--template", metavar="NAME", help=", ".join(TEMPLATES))
     new.add_argument(
@@ -74,9 +71,8 @@ def add(subparsers: Subcommands) -> None:
         "check",
         help="say what in a vehicle file is implausible",
         description="Judge a vehicle file: thrust to weight, hover command, inertia, rotor "
-        "positions and spins, torque, "
-        "motor lag, sigmas, slips of unit. Exit code 0: nothing blocks; 1: no craft is like that; "
-        "2: not a vehicle file.",
+        "positions and spins, torque, motor lag, sigmas, slips of unit. Exit code 0: nothing "
+        "blocks; 1: no craft is like that; 2: not a vehicle file.",
     )
     check.add_argument("vehicle", metavar="V.toml", help="vehicle file")
     json_option(check, "the findings")

@@ -323,8 +323,7 @@ def nearer_warnings(nearer: Mapping[str, tuple[float, float]]) -> list[str]:
     """One of every held parameter that flights tell to (error, stated error)."""
     return [
         f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of "
-        f"{stated:.2g}: "
-        "estimate it (leave it out of --fixed and --considered)"
+        f"{stated:.2g}: estimate it (leave it out of --fixed and --considered)"
         for n, (error, stated) in nearer.items()
     ]
 
@@ -335,8 +334,7 @@ def _record_warnings(problem: Problem) -> Iterator[str]:
     if gaps and problem.predictor.name == "innovation":
         yield (
             f"{', '.join(gaps)} missing in more than 5 % of the samples, without a rhythm: the "
-            "gain assumes that they are "
-            "there; use the kalman predictor"
+            "gain assumes that they are there; use the kalman predictor"
         )
     total_held = sum(r.held for r in problem.records)
     if total_held:

@@ -53,6 +53,5 @@ def too_short_for_errors(blocks: int, seconds: float, levels: bool, coloured: bo
     fix = "fly longer, or hold them (--hold-noise)" if levels and not coloured else "fly longer"
     return (
         f"standard errors are too small: the flights hold {blocks} stretch(es) of {seconds:.2g} s, "
-        "fewer than "
-        f"{FEWEST_BLOCKS}, so that {' and '.join(why)}; {fix}"
+        f"fewer than {FEWEST_BLOCKS}, so that {' and '.join(why)}; {fix}"
     )

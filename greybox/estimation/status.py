@@ -15,8 +15,7 @@ class Code(enum.Enum):
     )
     MAX_ITERATIONS = (
         "NOT converged: the iteration limit was reached. Allow more iterations, give better start "
-        "values, or fix "
-        "parameters that the data cannot identify."
+        "values, or fix parameters that the data cannot identify."
     )
     NO_PROGRESS = (
         "NOT converged: no step lowers the cost by what matters, yet the gradient is not zero. The "

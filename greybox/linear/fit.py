@@ -109,9 +109,8 @@ class LinearFit(Shown):
         poles = self.uncertainty.poles()
         lines = [
             f"order {self.order}, {len(self.model.inputs)} inputs, {len(self.model.outputs)} "
-            "outputs, "
-            f"{self.samples} samples in {len(self.records)} records, {self.parameters} free "
-            "parameters",
+            f"outputs, {self.samples} samples in {len(self.records)} records, {self.parameters} "
+            "free parameters",
             f"{self.status.value} ({self.iterations} iterations, start: {self.start})",
             f"-2 log likelihood {self.criterion:.2f}, log det Lambda {self.log_det:.4f}",
         ]
@@ -207,8 +206,7 @@ def fit_linear(
         return fit
     spare = (
         f"{fit.order} of {order} states: the others gain less than the price of a state in "
-        "marginal likelihood, and were "
-        "left out; --exact-order (exact_order=True) keeps them"
+        "marginal likelihood, and were left out; --exact-order (exact_order=True) keeps them"
     )
     return replace(fit, warnings=(spare, *fit.warnings))
 
@@ -366,16 +364,14 @@ def _warnings(
     if boastful:
         out.append(
             "the innovations are coloured and the records too short (or too long to hold) for "
-            "robust standard errors: "
-            "those given are too small"
+            "robust standard errors: those given are too small"
         )
     if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT):
         out.append(s.status.value)
     if rank < free:
         out.append(
             f"the data determine {rank} of {free} parameter directions: lower the order or excite "
-            "more; "
-            "standard errors cover the determined directions only"
+            "more; standard errors cover the determined directions only"
         )
     missing = sum(r.missing for r in scaled)
     if missing:

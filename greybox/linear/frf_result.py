@@ -130,9 +130,8 @@ class Pair:
         per = "unit" if self.input.signal.unit == "1" else self.input.signal.unit
         line = (
             f"{self.input.name} shows in {self.output.name} after {1e3 * f.lag:.1f} +- "
-            f"{1e3 * f.lag_std:.1f} ms (slope "
-            f"of the phase, {f.low:.2g} to {f.high:.2g} Hz), gain {f.gain:.4g} +- {f.gain_std:.2g} "
-            f"{unit} per {per}"
+            f"{1e3 * f.lag_std:.1f} ms (slope of the phase, {f.low:.2g} to {f.high:.2g} Hz), gain "
+            f"{f.gain:.4g} +- {f.gain_std:.2g} {unit} per {per}"
         )
         early = f.lag + 2 * f.lag_std < 0
         mixed = [n for _, n in self.input.terms]
@@ -162,8 +161,7 @@ class Pair:
             off = np.abs(ratio - 1)
             worst = int(np.argmax(off))
             yield (
-                f"{place} from {f[0]:.2g} to {f[-1]:.2g} Hz: "
-                f"{100 * np.median(off):.0f} % off, "
+                f"{place} from {f[0]:.2g} to {f[-1]:.2g} Hz: {100 * np.median(off):.0f} % off, "
                 f"most at {f[worst]:.2g} Hz ({abs(ratio[worst]):.2f} times the magnitude, "
                 f"{np.rad2deg(np.angle(ratio[worst])):+.0f} deg)"
             )

@@ -74,8 +74,7 @@ class OrderChoice:
             mark = "*" if r.order == self.order else " "
             lines.append(
                 f"{r.order:>4}{mark} {r.criterion:>10.1f} {r.parameters:>5} {r.aic:>10.1f} "
-                f"{r.aicc:>9.1f} {r.bic:>9.1f}"
-                f"  {r.whiteness:>11.2g}  {r.held_out:>8.4f}"
+                f"{r.aicc:>9.1f} {r.bic:>9.1f}  {r.whiteness:>11.2g}  {r.held_out:>8.4f}"
             )
         return "\n".join([*lines, *self.reasons])
 

@@ -131,8 +131,7 @@ def subspace(
     if rows < (span + ahead) * (m + p):
         raise DataError(
             f"{sum(len(r) for r in filled)} samples in {len(filled)} records are too short for "
-            f"order {order} "
-            f"with {m} inputs and {p} outputs",
+            f"order {order} with {m} inputs and {p} outputs",
             expected=f"at least {(span + ahead) * (m + p) + (span + ahead) * max(1, len(usable))} "
             "samples",
             fix="lower the order or pass longer records",

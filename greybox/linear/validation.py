@@ -109,8 +109,7 @@ class Identified:
         for i in self.intervals:
             lines.append(
                 f"pole {i.pole:.4f}: {100 * i.level:.0f} % profile interval of its {i.quantity} "
-                "part "
-                f"[{i.lower:.4f}, {i.upper:.4f}]"
+                f"part [{i.lower:.4f}, {i.upper:.4f}]"
             )
         if self.spectral is not None:
             lines.append(

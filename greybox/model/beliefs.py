@@ -36,8 +36,7 @@ DEFAULT_SIGMAS: Mapping[str, DefaultSigma] = {
     "inertia": DefaultSigma(
         share=0.30,
         reason="guessed from mass and arm: J / (m L^2) of published craft lies within 30 % "
-        "(Foerster 2015: 0.28, "
-        "0.49; Foehn et al. 2022: 0.21, 0.18, 0.37)",
+        "(Foerster 2015: 0.28, 0.49; Foehn et al. 2022: 0.21, 0.18, 0.37)",
     ),
     "thrust": DefaultSigma(
         share=0.20,

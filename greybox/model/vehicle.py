@@ -272,8 +272,7 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     if _by_channel(data):
         warnings.warn(
             f"{path}: [columns] by channel goes with 0.2.0. Usual fix: `greybox vehicle check "
-            f"{path}` prints "
-            "it by group (docs/logs.md)",
+            f"{path}` prints it by group (docs/logs.md)",
             OldFormWarning,
             stacklevel=2,
         )

@@ -127,8 +127,7 @@ class OwnPlan:
             )
         lines.append(
             f"steps between the ends of the ranges would have to last {self.efficiency:.1f} times "
-            "as long for the same "
-            "confidence region"
+            "as long for the same confidence region"
         )
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 

@@ -221,8 +221,6 @@ class Plan(Shown):
             )
         return (
             f"hover and figure of eight would have to last {self.efficiency:.1f} times as long for "
-            "the same confidence "
-            f"region; "
-            f"of the same length their standard errors are {self.median_ratio:.1f} times as large "
-            "(median)"
+            "the same confidence region; of the same length their standard errors are "
+            f"{self.median_ratio:.1f} times as large (median)"
         )

@@ -165,10 +165,9 @@ def _one_step(report: Report, content: CompareDocument, done: Sequence[MethodRow
         body,
         numeric=range(1, 13),
         caption=f"Means over {', '.join(content['channels'])}, in units of their standard "
-        "deviation on the training "
-        "flights. Spectral error: share of the signal's power at 0.1-20 Hz that is left. Training "
-        "includes every candidate. "
-        "Time in Python over a whole flight, many samples at once; exported C has its own.",
+        "deviation on the training flights. Spectral error: share of the signal's power at 0.1-20 "
+        "Hz that is left. Training includes every candidate. Time in Python over a whole flight, "
+        "many samples at once; exported C has its own.",
     )
     _per_channel(report, content, done)
 
@@ -208,9 +207,8 @@ def _multi_step(report: Report, content: CompareDocument, done: Sequence[MethodR
     report.section("Further ahead")
     report.paragraph(
         "Recorded commands, no measurement after the origin. Methods that predict channels get "
-        "attitude by integrating "
-        "their rates, velocity from their body velocity or specific force, position by integrating "
-        "that."
+        "attitude by integrating their rates, velocity from their body velocity or specific force, "
+        "position by integrating that."
     )
     curves = {m["method"]: curve for m in done if (curve := m["curve"])}
     if floor := content["dead_reckoning_curve"]:
@@ -286,8 +284,7 @@ def _uncertainty(report: Report, content: CompareDocument, done: Sequence[Method
     report.figures(
         panels,
         caption="Probability integral transform one step ahead, mean over channels: flat where the "
-        "stated distribution is "
-        "right, a hump where it is too wide, a bowl where it is too narrow.",
+        "stated distribution is right, a hump where it is too wide, a bowl where it is too narrow.",
     )
     _errors(report, done)
     measured = content["measured"]
@@ -350,10 +347,8 @@ def _errors(report: Report, done: Sequence[MethodRow]) -> None:
             rows,
             numeric=range(1, 2 * len(names) + 1),
             caption="Rank correlation with the size of the error and with the distance of the "
-            "commands from their mean. "
-            "Empty: one deviation for all samples. It is weak where most of the deviation is "
-            "sensor noise, which is the "
-            "same everywhere.",
+            "commands from their mean. Empty: one deviation for all samples. It is weak where most "
+            "of the deviation is sensor noise, which is the same everywhere.",
         )
 
 
@@ -366,9 +361,8 @@ def _search(report: Report, content: CompareDocument, done: Sequence[MethodRow])
     report.section("What was tried")
     report.paragraph(
         f"Every method with choices had {content['budget']} candidates, judged on the training "
-        "flights "
-        f"{', '.join(content['held_back'])}; the nonlinear hybrid judges its own on each training "
-        "flight left out."
+        f"flights {', '.join(content['held_back'])}; the nonlinear hybrid judges its own on each "
+        "training flight left out."
     )
     for m in done:
         if not (m["search"] or m["settings"]):

@@ -302,8 +302,7 @@ def _which(report: Report, content: DiscoveryDocument) -> None:
     report.section("How the search went")
     report.paragraph(
         "At every step each absent cause says what the flights would gain in log evidence by it, "
-        "to "
-        "second order. Those that promise most are fitted; what gains most is taken."
+        "to second order. Those that promise most are fitted; what gains most is taken."
     )
     panels: list[tuple[Figure, str]] = []
     for k, step in enumerate(steps, 1):
@@ -454,8 +453,7 @@ def _power(report: Report, content: DiscoveryDocument) -> None:
         report.section("What would have been seen")
         report.paragraph(
             "The smallest size of every parameter, alone, that is expected to be certified on "
-            "flights like these. What is "
-            "smaller may be there."
+            "flights like these. What is smaller may be there."
         )
         rows: list[list[Cell]] = [[f"{n}.{p}", number(v, 3)] for n, p, v in sorted(sizes)]
         with report.details(f"Smallest sizes ({len(rows)} parameters)", open=len(rows) < 20):
@@ -481,8 +479,7 @@ def _next(report: Report, content: DiscoveryDocument) -> None:
         )
         texts.append(
             f"If you can, measure {_list([e['name'] for e in content['effects']])} by other means: "
-            "a name with a number can "
-            "be wrong, and then it can be shown to be wrong."
+            "a name with a number can be wrong, and then it can be shown to be wrong."
         )
     for a in content["ambiguous"]:
         names = " or ".join(c["name"] for c in a["candidates"])
@@ -492,9 +489,8 @@ def _next(report: Report, content: DiscoveryDocument) -> None:
         else:
             texts.append(
                 f"No flight of the library tells {names} apart: measure one of them by itself (a "
-                "delay from a command to "
-                "the rotor speed, a bias at rest, a mass on a scale) and put it into the vehicle "
-                "file."
+                "delay from a command to the rotor speed, a bias at rest, a mass on a scale) and "
+                "put it into the vehicle file."
             )
     texts += _next_with_laws(content)
     if content["gap_on"] == "train":
@@ -530,9 +526,8 @@ def _next_with_laws(content: DiscoveryDocument) -> list[str]:
     elif files:
         texts.append(
             "The laws that were found are proposals, effect files beside this page "
-            f"({', '.join(files)}): copy one, "
-            "edit what makes sense (docs/own_effect.md), and run again with --effects-file and "
-            "another --out."
+            f"({', '.join(files)}): copy one, edit what makes sense (docs/own_effect.md), and run "
+            "again with --effects-file and another --out."
         )
     if files and flown and content.get("model_with_laws"):
         command = (

@@ -44,9 +44,8 @@ def sensors_section(report: Report, content: DiscoveryDocument) -> None:
     report.section("What only the sensors do")
     report.paragraph(
         "These are not forces or torques: each stays in the channels of its sensor, while a force "
-        "or torque reaches every "
-        "channel that the motion couples. They are part of the noise that the names above were "
-        "tested against."
+        "or torque reaches every channel that the motion couples. They are part of the noise that "
+        "the names above were tested against."
     )
     groups: dict[tuple[str, str], list[SensorRow]] = {}
     for s in rows:

@@ -218,14 +218,11 @@ def _parameters(report: Report, fit: FitDocument) -> None:
         body,
         numeric=(1, 2, 3, 4, 8),
         caption="t: the estimate over its standard deviation; where zero means that an effect is "
-        "not there, below 2 the "
-        "flights hardly show it. Bars: grey, what the vehicle file allows (95 %); blue, what the "
-        "flights leave of it. "
-        "By prior: the share of the estimate's precision that the prior brought, 0 % = the data "
-        "alone. "
-        "A parameter at its bound has no standard deviation: its interval is one-sided. Of "
-        "per-flight parameters the "
-        "mean over flights is shown.",
+        "not there, below 2 the flights hardly show it. Bars: grey, what the vehicle file allows "
+        "(95 %); blue, what the flights leave of it. By prior: the share of the estimate's "
+        "precision that the prior brought, 0 % = the data alone. A parameter at its bound has no "
+        "standard deviation: its interval is one-sided. Of per-flight parameters the mean over "
+        "flights is shown.",
     )
     if lag := fit.get("effective_lag"):
         report.paragraph(f"As one number: {lag['line']}.")
@@ -346,8 +343,7 @@ def _next(report: Report, fit: FitDocument, validation: ValidationDocument | Non
     if prior:
         texts.append(
             f"Decided by the vehicle file rather than by the flights: {', '.join(prior)}. Measure "
-            "them, or let greybox plan "
-            "propose a flight that shows them."
+            "them, or let greybox plan propose a flight that shows them."
         )
     if not validation:
         texts.append(
@@ -355,8 +351,7 @@ def _next(report: Report, fit: FitDocument, validation: ValidationDocument | Non
         )
     texts.append(
         "What the model still misses has a name or none: greybox discover says which. What has "
-        "none can be learned: "
-        "greybox learn model.json --train LOG ..."
+        "none can be learned: greybox learn model.json --train LOG ..."
     )
     texts.append(
         "For a controller: greybox export model.json --out DIR writes C and CasADi with a verifier."

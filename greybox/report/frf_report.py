@@ -97,7 +97,6 @@ def _gains(report: Report, pairs: Sequence[PairDocument]) -> None:
             ["response", "lag [ms]", "std", "gain", "std", "integrators", "fitted to"],
             rows,
             caption="gain exp(-lag s) / s^integrators, with a corner of the last integrator and "
-            "part of the lag of first "
-            "order. Gain: output unit per second to the number of integrators, per unit of the "
-            "input.",
+            "part of the lag of first order. Gain: output unit per second to the number of "
+            "integrators, per unit of the input.",
         )

@@ -105,8 +105,7 @@ def _answer(report: Report, content: LearnDocument) -> None:
     if content["null"]:
         report.paragraph(
             "Nothing was learned. No candidate lowers the multi-step errors of flights that it has "
-            "not seen, so the model "
-            "stays the physics alone; only its uncertainty was calibrated."
+            "not seen, so the model stays the physics alone; only its uncertainty was calibrated."
         )
         return
     silent = _channels(content, False)
@@ -117,10 +116,9 @@ def _answer(report: Report, content: LearnDocument) -> None:
     )
     report.paragraph(
         f"{learned_by(content.get('learner', 'gp'))} of {', '.join(content['features'])} adds to "
-        f"{', '.join(_channels(content, True))}. It "
-        f"saves {number(100 * content['fit']['held_out_gain'], 3)} % of the squared multi-step "
-        "errors of flights that were "
-        f"left out of its fit.{rest}"
+        f"{', '.join(_channels(content, True))}. It saves "
+        f"{number(100 * content['fit']['held_out_gain'], 3)} % of the squared multi-step errors of "
+        f"flights that were left out of its fit.{rest}"
     )
 
 
@@ -130,8 +128,7 @@ def _learned(report: Report, content: LearnDocument) -> None:
     if not content["null"]:
         report.paragraph(
             "The learned push acts like a force or torque in body axes on top of the physics and "
-            "is held over each "
-            "sample. " + (FAR if learner == "gp" else BEYOND)
+            "is held over each sample. " + (FAR if learner == "gp" else BEYOND)
         )
     before, after = fit["cost_before"], fit["cost_after"]
     saved = 1 - after / before if before else 0.0
@@ -171,9 +168,8 @@ def _candidates(report: Report, content: LearnDocument) -> None:
         body,
         numeric=(1,),
         caption=f"Share of the squared errors {ahead} that a candidate saves on flights left out "
-        "of its fit "
-        "(one flight after the other; stretches of a flight where there are few). 0 %: no output "
-        "was worth switching on.",
+        "of its fit (one flight after the other; stretches of a flight where there are few). 0 %: "
+        "no output was worth switching on.",
     )
 
 
@@ -247,10 +243,8 @@ def _ahead(report: Report, validation: BeforeAfter) -> None:
         report.table(heads, body, numeric=range(len(heads)))
     report.paragraph(
         "NLPD is the mean negative log density of the error vectors in SI units [nat], lower is "
-        "better. Inside 50 % and "
-        "95 %: share of the error vectors within the region that the learned model states; marked "
-        "outside "
-        f"{100 * HONEST[0]:g} to {100 * HONEST[1]:g} %."
+        "better. Inside 50 % and 95 %: share of the error vectors within the region that the "
+        f"learned model states; marked outside {100 * HONEST[0]:g} to {100 * HONEST[1]:g} %."
     )
 
 
@@ -311,11 +305,10 @@ def _uncertainty(report: Report, content: LearnDocument, validation: BeforeAfter
     factors = content["calibration"]["factors"]
     report.paragraph(
         "Every prediction carries a covariance: of the filter's state, of the physical parameters, "
-        "of the learned push "
-        "(the same error for as long as its features stay alike), of disturbances that are "
-        "correlated in time and of white noise. The process noise that a prediction collects over "
-        "a horizon was scaled by one factor per group, so that the errors of the training flights "
-        "up to half a second ahead are as likely as they can be."
+        "of the learned push (the same error for as long as its features stay alike), of "
+        "disturbances that are correlated in time and of white noise. The process noise that a "
+        "prediction collects over a horizon was scaled by one factor per group, so that the errors "
+        "of the training flights up to half a second ahead are as likely as they can be."
     )
     body: list[list[Cell]] = [[name, number(value, 3)] for name, value in factors.items()]
     report.table(
@@ -375,10 +368,8 @@ def _training(report: Report, content: LearnDocument) -> None:
     report.section("Marginal likelihood on the smoothed disturbances")
     report.paragraph(
         "These processes give the kernels; their weights were then fitted again by multi-step "
-        "errors. Where a held-out gain "
-        "is stated, above zero means that the smoothed disturbances of held-out flights are "
-        "predicted better than by a "
-        "constant."
+        "errors. Where a held-out gain is stated, above zero means that the smoothed disturbances "
+        "of held-out flights are predicted better than by a constant."
     )
     with report.details(f"All outputs of all candidates ({len(body)})"):
         heads = ["candidate and output", "status", "signal std", "noise std", "held-out gain [nat]"]
@@ -411,14 +402,12 @@ def _next(report: Report, content: LearnDocument, validation: BeforeAfter) -> No
     if content["null"]:
         texts.append(
             "Where you expected something to learn: fly faster or more varied, give --inputs that "
-            "the missing effect "
-            "depends on, or look for an effect by name with greybox effects."
+            "the missing effect depends on, or look for an effect by name with greybox effects."
         )
     else:
         texts.append(
             "What depends smoothly on few inputs may have a name: an effect of the catalogue "
-            "extrapolates, a learned push "
-            "does not. Compare with greybox effects."
+            "extrapolates, a learned push does not. Compare with greybox effects."
         )
         if after and (beside is None or beside["says"] == "better"):
             texts.append("Use hybrid.json wherever a model file is taken.")

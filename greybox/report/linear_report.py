@@ -165,9 +165,8 @@ def _poles(report: Report, r: Identified) -> None:
         ["pole", "std real", "std imaginary", "frequency [Hz]", "time constant [s]", "strength"],
         rows,
         caption=f"{fit.errors} standard errors; strength: Wald statistic of the mode per degree of "
-        "freedom "
-        "(1 is noise); the error of a weak mode, or of one with a close neighbour, is larger than "
-        "its standard error",
+        "freedom (1 is noise); the error of a weak mode, or of one with a close neighbour, is "
+        "larger than its standard error",
     )
     if r.intervals:
         report.table(

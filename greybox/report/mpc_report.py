@@ -95,13 +95,9 @@ def _flight(
     report.section("One flight, and what the tube planned")
     report.paragraph(
         "Every controller flies the same course in the same gusts. The blue tube is the plan of "
-        "the moment: "
-        "where the vehicle "
-        "will be over the next "
-        f"{number(data['ahead'], 2)} s, with ellipses that hold it in 95 of 100 cases. The plan "
-        "keeps the limits by the "
-        "half width of its tube, not by its middle. A cross marks where a controller was deepest "
-        "beyond a limit."
+        f"the moment: where the vehicle will be over the next {number(data['ahead'], 2)} s, with "
+        "ellipses that hold it in 95 of 100 cases. The plan keeps the limits by the half width of "
+        "its tube, not by its middle. A cross marks where a controller was deepest beyond a limit."
     )
     report.live(markup(data), script("mpc_animation"), CSS)
     _passages(report, content, data)
@@ -130,9 +126,7 @@ def _passages(report: Report, content: MpcDocument, data: Animation) -> None:
             if any(name == c["name"] for name, _ in runs)
         ],
         caption=f"Paths past every limit in {count} flight{'s' * (count != 1)}, crashed ones left "
-        "out; the "
-        f"limit is at 0 cm, "
-        "beyond it is shaded.",
+        "out; the limit is at 0 cm, beyond it is shaded.",
     )
 
 
@@ -191,11 +185,9 @@ def _table(report: Report, content: MpcDocument) -> None:
         body,
         numeric=(2, 3, 4, 5, 6, 7, 8),
         caption="Beyond: the true centre of mass crossed a plane, or the flight crashed. Interval: "
-        "exact (Clopper and "
-        "Pearson). Tilted: further than allowed. Cost: tracking cost per sample with the "
-        "controller's own "
-        "weights, 100 for a "
-        "crash; against the tube: paired by seed, with one standard error.",
+        "exact (Clopper and Pearson). Tilted: further than allowed. Cost: tracking cost per sample "
+        "with the controller's own weights, 100 for a crash; against the tube: paired by seed, "
+        "with one standard error.",
     )
     _planes(report, content)
 
@@ -223,8 +215,7 @@ def _planes(report: Report, content: MpcDocument) -> None:
             body,
             numeric=range(1, 1 + len(planes)),
             caption="Least distance of all flights to every limit, negative beyond it; in brackets "
-            "how many "
-            "flights crossed it.",
+            "how many flights crossed it.",
         )
 
 
@@ -233,18 +224,15 @@ def _what(report: Report, content: MpcDocument) -> None:
     what, course, tuning = content["what"], content["course"], content["tuning"]
     plants = {
         "demo": "An independent simulated vehicle with effects that its data sheet does not know "
-        "(motor lag, rotor and "
-        "body drag, blade flapping, a centre of mass beside the middle), sensor noise and gusts. "
-        "The models were "
-        "identified from one flight of it: motor lag, rotor drag and centre of mass are fitted, "
-        "body drag and flapping "
-        "are left to what is learned.",
+        "(motor lag, rotor and body drag, blade flapping, a centre of mass beside the middle), "
+        "sensor noise and gusts. The models were identified from one flight of it: motor lag, "
+        "rotor drag and centre of mass are fitted, body drag and flapping are left to what is "
+        "learned.",
         "plant": f"The plant is {what['plant']}, independent of the model; disturbed by "
         f"{what['disturbed_by']}.",
         "model": "The plant is the identified model itself, with parameters drawn from their "
-        "covariance for every flight, "
-        f"disturbed by {what['disturbed_by']}. What the model's structure misses does not act "
-        "here.",
+        f"covariance for every flight, disturbed by {what['disturbed_by']}. What the model's "
+        "structure misses does not act here.",
     }
     report.paragraph(plants[what["mode"]])
     seeds = content["seeds"]
@@ -318,8 +306,7 @@ def _margins(report: Report, content: MpcDocument, rows: Sequence[FlightRow]) ->
         panels,
         key=MARGIN_KEY,
         caption="Distance of the true position to the nearest limit; below zero, shaded, is beyond "
-        "it. Gaps: no limit near. "
-        "A crashed flight ends where it left the course.",
+        "it. Gaps: no limit near. A crashed flight ends where it left the course.",
     )
 
 
@@ -527,10 +514,9 @@ def _events(report: Report, content: MpcDocument) -> None:
         body,
         numeric=(2, 3),
         caption="No solution: the plan before goes on with the ancillary gain. Not believed, "
-        "doubted: a measurement that "
-        "the filter leaves out, or lets count in part. No measurement, calls did not come: the "
-        "filter predicts. Descent "
-        "declared: the path is given up, straight down at half a metre a second.",
+        "doubted: a measurement that the filter leaves out, or lets count in part. No measurement, "
+        "calls did not come: the filter predicts. Descent declared: the path is given up, straight "
+        "down at half a metre a second.",
     )
 
 
@@ -545,8 +531,7 @@ def format_table(content: MpcDocument) -> str:
     """The table for a terminal."""
     lines = [
         f"{'controller':10s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} {'crashed':>7s} "
-        f"{'tilted':>6s} "
-        f"{'RMSE [cm]':>9s} {'cost':>7s} {'median/99 % [ms]':>16s}"
+        f"{'tilted':>6s} {'RMSE [cm]':>9s} {'cost':>7s} {'median/99 % [ms]':>16s}"
     ]
     for name, c in content["controllers"].items():
         if not c["flights"]:
@@ -558,8 +543,7 @@ def format_table(content: MpcDocument) -> str:
         assert c["rmse"] is not None  # there are flights
         lines.append(
             f"{name:10s} {c['flights']:7d} {c['crossed']['count']:6d} {100 * low:5.0f} "
-            f"..{100 * high:4.0f} % "
-            f"{c['crashed']:7d} {c['tilted']:6d} {100 * c['rmse']:9.2f} {c['cost']:7.3f} "
-            f"{speed:>16s}"
+            f"..{100 * high:4.0f} % {c['crashed']:7d} {c['tilted']:6d} {100 * c['rmse']:9.2f} "
+            f"{c['cost']:7.3f} {speed:>16s}"
         )
     return "\n".join(lines)

@@ -33,9 +33,8 @@ def output_report(content: OutputDocument) -> str:
     learned = [o["name"] for o in content["outputs"] if o["learned"]]
     if learned:
         report.verdict(
-            f"{learned_by(content.get('learner', 'gp'))} of {', '.join(content['features'])} foretells the one-step "
-            "errors of "
-            f"{', '.join(learned)}."
+            f"{learned_by(content.get('learner', 'gp'))} of {', '.join(content['features'])} "
+            f"foretells the one-step errors of {', '.join(learned)}."
         )
     else:
         report.paragraph(
@@ -44,9 +43,8 @@ def output_report(content: OutputDocument) -> str:
         )
     report.paragraph(
         "It looks at what is known before the predicted sample: the model's own prediction, and "
-        "log columns at least one "
-        "sample old. What it foretells moves the model's state as a measured error would, so that "
-        "it works in free runs too."
+        "log columns at least one sample old. What it foretells moves the model's state as a "
+        "measured error would, so that it works in free runs too."
     )
     report.facts(
         [

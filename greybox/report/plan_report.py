@@ -69,10 +69,8 @@ def _parameters(report: Report, content: PlanDocument) -> None:
         rows,
         numeric=(1, 2, 3, 4),
         caption="One standard deviation: what is known before, expected after these flights, and "
-        "after "
-        "hover and figure of eight of the same length. Empty: nothing is known. Cramer-Rao bound "
-        "at the values that are "
-        "taken for true.",
+        "after hover and figure of eight of the same length. Empty: nothing is known. Cramer-Rao "
+        "bound at the values that are taken for true.",
     )
 
 
@@ -131,9 +129,8 @@ def _next(report: Report, content: PlanDocument) -> None:
             "Look at every flight in simulation, or fly it at half amplitude first. Keep a hand on "
             "the switch.",
             "Send the setpoints of flight_1.csv at its sample rate and hold the last one until the "
-            "craft rests. Columns "
-            "inj_* are added behind the attitude controller; "
-            "an autopilot that cannot do that flies a plan made with --setpoints-only.",
+            "craft rests. Columns inj_* are added behind the attitude controller; an autopilot "
+            "that cannot do that flies a plan made with --setpoints-only.",
             f"Log commands after the mixer and {', '.join(content['sensors'])}, at "
             f"{1 / content['sample_time']:g} Hz.",
             "greybox check the logs, then greybox fit; plan again with --model to see what still "

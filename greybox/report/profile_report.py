@@ -80,11 +80,9 @@ def _intervals(report: Report, content: ProfileDocument) -> None:
         ["unknown", "estimate", "lower", "upper", "unit", "estimate ± 1.96 std", ""],
         rows,
         numeric=(1, 2, 3),
-        caption=f"The {100 * content['level']:g} % interval: values at which twice the negative log "
-        "likelihood, all other unknowns "
-        "fitted again, lies less than a quantile of chi-square above its minimum. Where it differs "
-        "from the symmetric one, "
-        "it is the one to believe.",
+        caption=f"The {100 * content['level']:g} % interval: values at which twice the negative "
+        "log likelihood, all other unknowns fitted again, lies less than a quantile of chi-square "
+        "above its minimum. Where it differs from the symmetric one, it is the one to believe.",
     )
 
 

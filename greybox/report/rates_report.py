@@ -65,8 +65,7 @@ def rates_report(content: RatesDocument, traces: Traces, *, stage: float) -> str
     report = Report(
         "A rate controller on a linear model with a Gaussian process",
         f"{sum(c['flights'] for c in found.values())} flights, {len(found)} controllers, body "
-        "rates within "
-        f"{content['limit']:g} rad/s",
+        f"rates within {content['limit']:g} rad/s",
     )
     report.first_line(
         content["verdict"],
@@ -88,10 +87,9 @@ def rates_report(content: RatesDocument, traces: Traces, *, stage: float) -> str
         report.section("One flight, and what the tube planned")
         report.paragraph(
             "Every controller flies the same path in the same gusts, below the same outer loops. "
-            "The blue band is the plan "
-            "of the moment: where the rates will be in 95 of 100 cases. A plan keeps the limits by "
-            "its tightening, not by "
-            "its middle. Dotted: what the outer loops ask of the tube."
+            "The blue band is the plan of the moment: where the rates will be in 95 of 100 cases. "
+            "A plan keeps the limits by its tightening, not by its middle. Dotted: what the outer "
+            "loops ask of the tube."
         )
         report.live(_markup(data), script("rates_animation"), CSS)
     _table(report, content)
@@ -247,10 +245,8 @@ def _table(report: Report, content: RatesDocument) -> None:
         body,
         numeric=(2, 3, 4, 5, 6, 7, 8),
         caption="Beyond: flights in which a true body rate passed the limit, or the craft was "
-        "lost. Interval: exact "
-        "(Clopper and Pearson). RMSE: true rates against what the outer loops asked. Time: median "
-        "and 99 % of one answer, "
-        "Python included.",
+        "lost. Interval: exact (Clopper and Pearson). RMSE: true rates against what the outer "
+        "loops asked. Time: median and 99 % of one answer, Python included.",
     )
 
 
@@ -258,18 +254,16 @@ def _what(report: Report, content: RatesDocument) -> None:
     report.section("What was flown")
     report.paragraph(
         "The plant is an independent simulated vehicle: thrust with the square of rotor speed, "
-        "motor lag, rotor drag, a "
-        "centre of mass beside the middle, gusts and sensor noise. A linear model of p, q, r was "
-        "identified from flights "
-        "of it, and a Gaussian process learned what it leaves, as in the paper."
+        "motor lag, rotor drag, a centre of mass beside the middle, gusts and sensor noise. A "
+        "linear model of p, q, r was identified from flights of it, and a Gaussian process learned "
+        "what it leaves, as in the paper."
     )
     rows = [("Model", content["model"]), ("Inputs of the process", ", ".join(content["features"]))]
     rows += [
         (
             f"Tightening of {n}",
             f"{t['kappa']:.2f} standard deviations, by Boole's inequality over {t['touched']:.0f} "
-            "limits "
-            f"that a flight without it touches ({t['flights']} training flights)",
+            f"limits that a flight without it touches ({t['flights']} training flights)",
         )
         for n, t in content["tuning"].items()
     ]

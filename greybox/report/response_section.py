@@ -32,8 +32,7 @@ from greybox.symbolic import FloatArray
 
 PALE = (
     "Where coherence is too low, or the loop is closed, the curve is of no use: pale and without a "
-    "band. Dashed: "
-    f"coherence {TRUSTED:g}."
+    f"band. Dashed: coherence {TRUSTED:g}."
 )
 MEASURED = Key(text="flights, with 95 % band", colour="c1")
 
@@ -97,9 +96,8 @@ def response_section(report: Report, responses: Responses | None) -> None:
         report.figures(
             panels,
             caption="Deviation from the mean state of the flights, by the model linearised there; "
-            "each step is as large as "
-            "the command's standard deviation in the flights. The flat beginning is delay, the "
-            "bend lag of the motors.",
+            "each step is as large as the command's standard deviation in the flights. The flat "
+            "beginning is delay, the bend lag of the motors.",
         )
 
 
@@ -109,8 +107,7 @@ def _measured(report: Report, content: ResponseDocument) -> None:
     count = len(content["flights"])
     report.paragraph(
         f"From {number(seconds, 3)} s of {count} flight{'s' * (count != 1)}, without a model; the "
-        "model's own response "
-        "lies over it."
+        "model's own response lies over it."
     )
     # What must be known before the figures are believed.
     report.bullets([f"{w[:1].upper()}{w[1:]}." for w in content["warnings"]])

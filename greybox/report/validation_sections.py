@@ -340,10 +340,9 @@ def _whiteness_table(report: Report, whiteness: WhitenessDocument) -> None:
         heads,
         body,
         numeric=range(1, len(heads)),
-        caption="Ljung-Box test per channel, Hosking's for all channels. The normalised "
-        "standard deviation is 1 "
-        "for the right noise model; 'predictable' is the share of variance that the past of "
-        "the channel explains.",
+        caption="Ljung-Box test per channel, Hosking's for all channels. The normalised standard "
+        "deviation is 1 for the right noise model; 'predictable' is the share of variance that the "
+        "past of the channel explains.",
     )
 
 

@@ -110,9 +110,8 @@ def whiteness_verdict(whiteness: WhitenessDocument) -> str:
     share = bad[worst]["predictable"]
     text = (
         f"{len(bad)} of {len(channels)} innovation channels {'is' if len(bad) == 1 else 'are'} not "
-        "white "
-        f"({', '.join(bad)}). Largest: {worst}, of "
-        f"whose variance {100 * share:.0f} % could be predicted from its own past."
+        f"white ({', '.join(bad)}). Largest: {worst}, of whose variance {100 * share:.0f} % could "
+        "be predicted from its own past."
     )
     if share < 0.05:
         return text + " That is small: long records make the test sensitive."

@@ -86,10 +86,9 @@ def format_table(rows: tuple[Covered, ...]) -> str:
         for r in own:
             error = "" if r.share_error is None else f"+- {100 * r.share_error:.1f}"
             lines.append(
-                f"  {r.group:20} {r.seconds:4g} s {100 * r.share:6.1f} {error:7} % {r.count:5d}"
-                f"   {r.width:<9.3g} {r.needed:<9.3g} {UNITS[r.group]:6}"
-                f"{100 * r.box_share:6.1f} %   {r.box_width:<9.3g}  {r.box_width / r.width:<8.1f}"
-                f"  {r.box_width / r.needed:.1f}"
+                f"  {r.group:20} {r.seconds:4g} s {100 * r.share:6.1f} {error:7} % {r.count:5d}   "
+                f"{r.width:<9.3g} {r.needed:<9.3g} {UNITS[r.group]:6}{100 * r.box_share:6.1f} %   "
+                f"{r.box_width:<9.3g}  {r.box_width / r.width:<8.1f}  {r.box_width / r.needed:.1f}"
             )
         held = {n: np.mean([r.by_flight[n] for r in own if n in r.by_flight]) for n in _names(own)}
         said = ", ".join(

@@ -117,8 +117,7 @@ ADVICE: tuple[Advice, ...] = (
         symptom=Symptom.BOUNDS,
         reason="several parameters ran to their bounds: the structure is wrong, not the numbers",
         action="--effects motor_lag,gyro_bias,accelerometer_bias and --disturbance force,torque; "
-        "hold with "
-        "--fixed what was weighed and what the flights do not show",
+        "hold with --fixed what was weighed and what the flights do not show",
     ),
     Advice(
         symptom=Symptom.NOT_CONVERGED,

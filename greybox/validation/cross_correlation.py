@@ -30,10 +30,9 @@ from greybox.validation.samples import names_for, stretches
 
 NOTE = (
     "Verdict from positive lags only (input before innovation): under feedback the commands answer "
-    "past innovations, "
-    "so that lag 0 and negative lags are correlated for a perfect model too. Where the innovations "
-    "are not white, "
-    "feedback reaches positive lags as well; read this test after the whiteness test."
+    "past innovations, so that lag 0 and negative lags are correlated for a perfect model too. "
+    "Where the innovations are not white, feedback reaches positive lags as well; read this test "
+    "after the whiteness test."
 )
 
 

@@ -199,8 +199,7 @@ class _Work:
         if missing == "step":
             self.warnings.append(
                 f"only {share:.0%} of the origins have a reference at every sample of "
-                f"{REQUIRED * dt:.3g} s: "
-                "horizons without one are left out"
+                f"{REQUIRED * dt:.3g} s: horizons without one are left out"
             )
         self.rows = {
             label: HorizonAccumulator(

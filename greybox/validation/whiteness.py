@@ -129,8 +129,7 @@ class Whiteness:
         for c in self.channels:
             lines.append(
                 f"{c.name:<{width}}  {c.n:>7d}  {c.outside:>7.0%}  {c.predictable:>11.1%}  "
-                f"{c.test.q:>10.1f}"
-                f"  {c.test.dof:>4d}  {c.test.p_value:>8.2g}"
+                f"{c.test.q:>10.1f}  {c.test.dof:>4d}  {c.test.p_value:>8.2g}"
             )
         if self.multivariate is not None:
             m = self.multivariate

@@ -148,9 +148,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     parser = argparse.ArgumentParser(
         description="The demo of `greybox mpc`: the craft of the obstacle course flies once, three "
-        "models are identified "
-        "from that flight (data sheet, fitted physics, physics with a Gaussian process) and each "
-        "flies the course."
+        "models are identified from that flight (data sheet, fitted physics, physics with a "
+        "Gaussian process) and each flies the course."
     )
     parser.add_argument("--out", default="demo_mpc_out")
     parser.add_argument("--flights", default="6")

@@ -278,8 +278,7 @@ def _on_risk(content: MpcFound, tube: CourseController, level: float) -> list[st
     elif high > 2 * level:
         out.append(
             f"{n} flights leave the share between {100 * low:.0f} and {100 * high:.0f} %: fly more "
-            "of them, for example "
-            f"--flights {max(100, 5 * n)}; the ones that are there are kept."
+            f"of them, for example --flights {max(100, 5 * n)}; the ones that are there are kept."
         )
     return out
 
@@ -300,12 +299,10 @@ def _on_cost(content: MpcFound, tube: CourseController) -> list[str]:
             constant = found["constant"]
             out.append(
                 f"One constant back-off of {1e3 * constant['moved']:.1f} mm costs "
-                f"{100 * -size / tube['cost']:.0f} % less than "
-                f"the tube, with {constant['crossed']['count']} of {constant['flights']} flights "
-                "beyond a "
-                f"limit. It was chosen "
-                "on training flights of this very course in these gusts; where either changes it "
-                "must be chosen again."
+                f"{100 * -size / tube['cost']:.0f} % less than the tube, with "
+                f"{constant['crossed']['count']} of {constant['flights']} flights beyond a limit. "
+                "It was chosen on training flights of this very course in these gusts; where "
+                "either changes it must be chosen again."
             )
         else:
             out.append(

@@ -220,8 +220,7 @@ def format_table(content: RatesFound) -> str:
     """The table for a terminal."""
     lines = [
         f"{'controller':11s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} "
-        f"{'time beyond':>11s} "
-        f"{'worst [rad/s]':>13s} {'RMSE [rad/s]':>12s} {'off path [m]':>12s} "
+        f"{'time beyond':>11s} {'worst [rad/s]':>13s} {'RMSE [rad/s]':>12s} {'off path [m]':>12s} "
         f"{'median/99 % [ms]':>16s}"
     ]
     for name, c in content["controllers"].items():
@@ -233,7 +232,6 @@ def format_table(content: RatesFound) -> str:
         lines.append(
             f"{name:11s} {c['flights']:7d} {c['beyond']['count']:6d} {low:5.0f} ..{high:4.0f} % "
             f"{100 * c['samples_beyond']:9.1f} % {c['worst']:13.2f} {c['rmse']:12.3f} "
-            f"{c['away']:12.2f} "
-            f"{t['median']:8.1f}/{t['p99']:.1f}"
+            f"{c['away']:12.2f} {t['median']:8.1f}/{t['p99']:.1f}"
         )
     return "\n".join(lines)

@@ -95,9 +95,8 @@ def single_lines(rows: Sequence[Row], kind: str) -> list[str]:
     ]
     size = f"; median size of a set {median(sizes):g}" if sizes else ""
     out = [
-        f"{kind}: right or in its set, with power {_count(seen, _good)}; "
-        f"right {_count(seen, lambda r: r['judged'] == 'right')}; "
-        f"wrong {_count(seen, _false)}{size}"
+        f"{kind}: right or in its set, with power {_count(seen, _good)}; right "
+        f"{_count(seen, lambda r: r['judged'] == 'right')}; wrong {_count(seen, _false)}{size}"
     ]
     if any(stage(r) == TRACE for r in seen if not _good(r)):
         told = _count(seen, lambda r: _good(r) or stage(r) == TRACE)

@@ -209,8 +209,7 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
     """Rates per case and over all."""
     lines = [
         f"{'case':20s} {'runs':>4s} {'wrong name':>10s} {'flagged':>8s} {'right axis':>10s} "
-        f"{'closed: median, worst':>22s}"
-        f"{'with a learned rest (n)':>26s}"
+        f"{'closed: median, worst':>22s}{'with a learned rest (n)':>26s}"
     ]
     for name in [*CASES, "outside", "relatives", "unseen", "all"]:
         own = [
@@ -228,9 +227,8 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
         taught = [s for r in own if (s := by_learning(r, least(r["seed"]))) is not None]
         lines.append(
             f"{name:20s} {len(own):4d} {sum(bool(r['wrong']) for r in own):10d} "
-            f"{sum(bool(r['flagged']) for r in own):8d} "
-            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(taught):>20s} "
-            f"({len(taught):3d})"
+            f"{sum(bool(r['flagged']) for r in own):8d} {sum(r['right_axis'] for r in own):10d} "
+            f"{_spread(named):>22s}{_spread(taught):>20s} ({len(taught):3d})"
         )
     return "\n".join(lines)
 
@@ -269,8 +267,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             laws = "; ".join(u["proposal"] or u["channel"] for u in row["unnamed"])
             print(
                 f"{seed:5d} {name:18s} {row['verdict']:16s} {', '.join(row['names']) or '-':30s} | "
-                f"{laws or '-'} "
-                f"({row['seconds']:.0f} s)",
+                f"{laws or '-'} ({row['seconds']:.0f} s)",
                 flush=True,
             )
     print(report(list({(r["case"], r["seed"]): r for r in rows}.values())))

@@ -189,9 +189,8 @@ def line(row: dict[str, Any]) -> str:
     models = sorted({f"{s['kind']} {s['channel']}" for s in row["sensors"] if s["kind"] != "white"})
     return (
         f"{row['vehicle']} {row['seed']} {row['ingredients']}:{row['effect']}  "
-        f"{'right' if row['right'] else 'WRONG'}  "
-        f"{', '.join(said) or row['verdict']}; {'; '.join(models)}; {row['faults']} "
-        f"({row['seconds']:.0f} s)"
+        f"{'right' if row['right'] else 'WRONG'}  {', '.join(said) or row['verdict']}; "
+        f"{'; '.join(models)}; {row['faults']} ({row['seconds']:.0f} s)"
     )
 
 

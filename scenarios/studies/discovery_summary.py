@@ -133,9 +133,8 @@ def against_oracle(rows: Sequence[Row]) -> list[str]:
     what can be closed."""
     lines = [
         "| cell | the oracle is certified | of these right | group, tied with the oracle | group, "
-        "not tied | silent "
-        "| no power | of these silent | share of the oracle's gap closed at 0.5 s: median, worst "
-        "(logs) |",
+        "not tied | silent | no power | of these silent | share of the oracle's gap closed at 0.5 "
+        "s: median, worst (logs) |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for label, members in _grouped([r for r in rows if r.get("oracle")], _label).items():
@@ -154,9 +153,8 @@ def against_oracle(rows: Sequence[Row]) -> list[str]:
         share = f"{np.median(closed):.4f}, {min(closed):.4f} ({len(closed)})" if closed else "-"
         lines.append(
             f"| {' '.join(label)} | {len(power)} | {_share(c['right'], len(power))} | {tied} | "
-            f"{len(groups) - tied} | "
-            f"{c['silent']} | {len(weak)} | {sum(r['judged'] == 'silent' for r in weak)} | {share} "
-            "|"
+            f"{len(groups) - tied} | {c['silent']} | {len(weak)} | "
+            f"{sum(r['judged'] == 'silent' for r in weak)} | {share} |"
         )
     return lines if len(lines) > 2 else []
 
@@ -201,8 +199,7 @@ def parameters(rows: Sequence[Row]) -> list[str]:
     for size, e in errors.items():
         lines.append(
             f"| {size} | {len(e)} | {100 * np.median(e):.2g} % | {100 * np.quantile(e, 0.9):.2g} % "
-            "| "
-            f"{_share(sum(inside[size]), len(inside[size]))} |"
+            f"| {_share(sum(inside[size]), len(inside[size]))} |"
         )
     return lines
 

@@ -186,8 +186,7 @@ def table(checked: Mapping[str, Validation]) -> str:
                 inside = {level: float(share[h - 1]) for level, share in e.coverage.items()}
                 lines.append(
                     f"{g:10s} {h:3d} {name:10s} {e.rmse[h - 1]:9.4f} {density[name]:8.3f} "
-                    f"{inside[0.5]:8.3f} "
-                    f"{inside[0.95]:8.3f}"
+                    f"{inside[0.5]:8.3f} {inside[0.95]:8.3f}"
                 )
                 if name == "hybrid" and not low <= inside[0.95] <= high:
                     missed.append(f"{g} at {h}: {inside[0.95]:.3f} not in {low:g}..{high:g}")

@@ -152,8 +152,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
     error = 100 * np.std(pooled, ddof=1) / np.sqrt(len(pooled)) if len(pooled) > 1 else float("nan")
     lines.append(
         f"coverage pooled: {100 * np.mean(everything):.2f} % of {len(everything)} intervals in "
-        f"{len(rows)} runs "
-        f"(run-to-run standard error {error:.2f} %)"
+        f"{len(rows)} runs (run-to-run standard error {error:.2f} %)"
     )
     judged = [r for r in rows if r.get("ratio", -np.inf) > 40]
     if judged:
@@ -162,8 +161,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         over = sum(r["chosen"] > r["n"] for r in judged)
         lines.append(
             f"order right: {100 * np.mean(right):.1f} % of {len(judged)} runs with oracle ratio > "
-            "40 "
-            f"({under} too low, {over} too high); "
+            f"40 ({under} too low, {over} too high); "
             f"{len([r for r in rows if 'ratio' in r]) - len(judged)} runs below 40"
         )
         lines.append(

@@ -405,10 +405,8 @@ def describe(rung: Ladder) -> str:
     """The numbers of a rung in one line."""
     return (
         f"{rung.row:24s} lag {rung.lag:g} s, delay {rung.delay:g} s, k {rung.thrust:.2f}, gains "
-        f"{np.round(rung.gain, 1)}, "
-        f"drag {np.round(rung.drag, 3)}, moment {np.round(rung.moment, 1)}, damping "
-        f"{np.round(rung.damping, 2)}, "
-        f"ratio {rung.ratio:g}"
+        f"{np.round(rung.gain, 1)}, drag {np.round(rung.drag, 3)}, moment "
+        f"{np.round(rung.moment, 1)}, damping {np.round(rung.damping, 2)}, ratio {rung.ratio:g}"
     )
 
 

@@ -288,7 +288,6 @@ def verdict(
         return "no seed has both a hybrid and another method"
     return (
         f"best hybrid has the lowest test MSE in {wins} of {len(ratios)} seeds; its error to the "
-        "truth is at most half of "
-        f"the best other's in {halves} (ratio: median {np.median(ratios):.2f}, {min(ratios):.2f} "
-        f".. {max(ratios):.2f})"
+        f"truth is at most half of the best other's in {halves} (ratio: median "
+        f"{np.median(ratios):.2f}, {min(ratios):.2f} .. {max(ratios):.2f})"
     )

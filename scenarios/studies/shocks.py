@@ -322,8 +322,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table in Markdown: one line per shock and controller."""
     lines = [
         f"| shock | controller | flights | lost, landing | beyond before | 0 to {BACK:g} s after | "
-        "later | "
-        "flights above the level later (95 %) | back after | deepest | from the path | "
+        "later | flights above the level later (95 %) | back after | deepest | from the path | "
         f"errors inside calibrated and stated 95 %, 0 to {BACK:g} s after | later |",
         "|" + "---|" * 13,
     ]
@@ -344,13 +343,11 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> str:
                 f"| {shock} | {name} | {len(mine)} | {sum(r['lost'] for r in mine)}, "
                 f"{sum(r['descended'] for r in mine)} | "
                 f"{100 * np.mean([r['before'] for r in mine]):.1f} % | {100 * early.mean():.1f} % "
-                "| "
-                f"{100 * late.mean():.1f} % | "
-                f"{bad} ({100 * low:.0f} to {100 * high:.0f} %) | "
+                f"| {100 * late.mean():.1f} % | {bad} ({100 * low:.0f} to {100 * high:.0f} %) | "
                 f"{f'{when:g} s' if math.isfinite(when) else 'never'} | "
                 f"{max(r['deepest'] for r in mine):.0f} mm | "
-                f"{np.mean([r['away'] for r in mine]):.0f} mm | "
-                f"{_shares(mine, slice(1, 1 + cut))} | {_shares(mine, slice(1 + cut, None))} |"
+                f"{np.mean([r['away'] for r in mine]):.0f} mm | {_shares(mine, slice(1, 1 + cut))} "
+                f"| {_shares(mine, slice(1 + cut, None))} |"
             )
     return "\n".join(lines)
 

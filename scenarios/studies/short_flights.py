@@ -64,8 +64,7 @@ class Row:
         levels = "held" if self.held else "estimated"
         return (
             f"| {self.seconds:g} | {levels} | {100 * self.coverage:.1f} +- {100 * self.error:.1f} "
-            "| "
-            f"{self.said} of {len(self.shares)} | {self.failed} |"
+            f"| {self.said} of {len(self.shares)} | {self.failed} |"
         )
 
 

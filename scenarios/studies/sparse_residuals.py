@@ -191,10 +191,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for row in found:
             print(
                 f"{row['residuals']:12s} {row['output']:3s} M = {row['points']:3d}: RMSE "
-                f"{row['rmse']:.4f}, full "
-                f"{row['rmse_full']:.4f} (without a GP {row['rmse_nothing']:.4f}), ratio "
-                f"{row['ratio']:.4f}, least "
-                f"variance ratio {row['variance']:.3f}",
+                f"{row['rmse']:.4f}, full {row['rmse_full']:.4f} (without a GP "
+                f"{row['rmse_nothing']:.4f}), ratio {row['ratio']:.4f}, least variance ratio "
+                f"{row['variance']:.3f}",
                 flush=True,
             )
     for m in options.points:

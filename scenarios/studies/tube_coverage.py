@@ -167,8 +167,7 @@ def told(
             own = doubt[name][level]
             print(
                 f"{name:9s} {level:.0%} inside: {np.round(share[at], 3)}  mean {share.mean():.3f} "
-                f"({own[-1]:.4f}, of a "
-                f"stage at most {own[:-1].max():.4f})"
+                f"({own[-1]:.4f}, of a stage at most {own[:-1].max():.4f})"
             )
         rows = ratio[:, GROUPS[name] : GROUPS[name] + 3]
         print(

@@ -328,8 +328,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     events."""
     lines = [
         f"{'fault':10s} {'n':>3s} {'course':>6s} {'landed':>6s} {'crashed':>7s} {'broken':>6s} "
-        f"{'crossed':>7s} "
-        f"{'deepest':>8s} {'RMSE':>7s} {'tilt':>5s}  events a flight"
+        f"{'crossed':>7s} {'deepest':>8s} {'RMSE':>7s} {'tilt':>5s}  events a flight"
     ]
     for name in FAULTS:
         mine = [r for r in rows if r["fault"] == name]
@@ -350,8 +349,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             f"{name:10s} {len(mine):3d} {count['course']:6d} {count['landed']:6d} "
             f"{count['crashed'] + count['in the air']:7d} "
             f"{sum(r['broken_count'] for r in mine):6d} {len(depth):7d} "
-            f"{1e3 * max(depth, default=0.0):5.1f} mm "
-            f"{np.median([r['rmse'] for r in mine]):7.4f} "
+            f"{1e3 * max(depth, default=0.0):5.1f} mm {np.median([r['rmse'] for r in mine]):7.4f} "
             f"{math.degrees(max(r['tilt'] for r in mine)):4.0f}°  {said}"
         )
     return "\n".join(lines)

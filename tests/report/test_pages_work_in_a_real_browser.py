@@ -199,9 +199,8 @@ def test_the_first_screen_is_the_headline(page: Any):
     """What the page says first, its figure and what to do next are seen without scrolling."""
     size(page, *DESKTOP)
     ends = page.execute_script(
-        "window.scrollTo(0, 0); const end = e => e.getBoundingClientRect().bottom;"
-        "const next = [...document.querySelectorAll('h3')].find(h => h.textContent === 'What to do "
-        "next');"
+        "window.scrollTo(0, 0); const end = e => e.getBoundingClientRect().bottom;const next = "
+        "[...document.querySelectorAll('h3')].find(h => h.textContent === 'What to do next');"
         "return [end(document.querySelector('.good, .bad')), "
         "end(document.querySelector('figure')), end(next)]"
     )
@@ -252,11 +251,10 @@ def test_a_bode_figure_zooms_with_its_band_and_its_points(page: Any):
         if "over" in f.get_attribute("aria-label")
     )
     places = (
-        "const a = arguments[0].querySelector('.axes'), box = e => e.getBoundingClientRect();"
-        "const at = s => [...a.querySelectorAll(':scope > ' + s)].map(box);"
-        "return [at('.curve > g use').map(r => r.x + r.width / 2), ...['.band path', '.curve > "
-        "path'].map(s =>"
-        " at(s).map(r => [r.left, r.right, r.top, r.bottom]))]"
+        "const a = arguments[0].querySelector('.axes'), box = e => e.getBoundingClientRect();const "
+        "at = s => [...a.querySelectorAll(':scope > ' + s)].map(box);return [at('.curve > g "
+        "use').map(r => r.x + r.width / 2), ...['.band path', '.curve > path'].map(s => "
+        "at(s).map(r => [r.left, r.right, r.top, r.bottom]))]"
     )
     page.execute_script(
         "arguments[0].scrollIntoView({behavior: 'instant'}); arguments[0].focus()", bode
@@ -304,11 +302,10 @@ def test_the_cursor_tells_by_mouse_and_by_keyboard_what_the_curves_are_there(pag
 def test_the_ghost_is_where_the_model_said_and_its_distance_is_right(page: Any):
     flight_figures(page)
     move = (
-        "const r = document.querySelector('.replay'), [t, h] = r.querySelectorAll('input');"
-        "t.value = arguments[0]; h.value = arguments[1];"
-        "t.dispatchEvent(new Event('input')); h.dispatchEvent(new Event('input'));"
-        "const c = r.querySelector('canvas');"
-        "return [r.querySelector('output').textContent, c.toDataURL().length, c.width]"
+        "const r = document.querySelector('.replay'), [t, h] = r.querySelectorAll('input');t.value "
+        "= arguments[0]; h.value = arguments[1];t.dispatchEvent(new Event('input')); "
+        "h.dispatchEvent(new Event('input'));const c = r.querySelector('canvas');return "
+        "[r.querySelector('output').textContent, c.toDataURL().length, c.width]"
     )
     # The made-up model is 0.3 h^2 m off after h seconds, and turned by 10 h degrees.
     for horizon, off, angle in ((0.5, 7.5, 5.0), (1.0, 30.0, 10.0)):

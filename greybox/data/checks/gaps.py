@@ -128,9 +128,8 @@ def _lost(view: View) -> Iterator[Finding]:
             severity="warning",
             flight=view.name,
             where=f"channel {', '.join(lost)}",
-            message=f"column {columns} is missing or holds no value: the "
-            f"{group.replace('_', ' ')} ({', '.join(names)}) is left out, of all that is fitted with "
-            f"this log, too{meant}",
+            message=f"column {columns} is missing or holds no value: the {group.replace('_', ' ')} "
+            f"({', '.join(names)}) is left out, of all that is fitted with this log, too{meant}",
             fix=f"correct the names in [columns.{group}]"
             if meant
             else "log it, or drop what is left of the group",

@@ -275,8 +275,7 @@ FORMAT = LogFormat(
     advice={
         "": "set bits 0 (ATTITUDE_FAST), 10 (RCOUT) and 18 (IMU_FAST) of LOG_BITMASK",
         "command": "set bit 10 (RCOUT) of LOG_BITMASK; PWM of SERVOn with function 33 (motor 1) "
-        "and on; in most versions "
-        "at 10 Hz, which is too slow",
+        "and on; in most versions at 10 Hz, which is too slow",
         "rate": "set bit 18 (IMU_FAST) of LOG_BITMASK: IMU at the rate of the main loop instead of "
         "25 Hz",
         "specific_force": "set bit 18 (IMU_FAST) of LOG_BITMASK",

@@ -342,8 +342,7 @@ class _Grid:
         if group == "command" and stream.rate < 0.6 * base.rate and stream.rate < 90:
             self.notes.append(
                 f"commands were logged at {stream.rate:.3g} Hz only: what was sent between two of "
-                "them is not known, "
-                "and the fit will be poor (`greybox inspect` says what to set)"
+                "them is not known, and the fit will be poor (`greybox inspect` says what to set)"
             )
 
     def _placed(self, group: str, stream: Stream, t: FloatArray, values: FloatArray) -> FloatArray:

@@ -237,8 +237,7 @@ FORMAT = LogFormat(
     recording=read_crazyflie,
     advice={
         "": "config.txt on the SD card: 500 to 1000 Hz, one line per variable under "
-        "on:fixedFrequency; keep the buffer at "
-        "512 bytes or more so that no event is lost",
+        "on:fixedFrequency; keep the buffer at 512 bytes or more so that no event is lost",
         "command": "add motor.m1, motor.m2, motor.m3, motor.m4",
         "rotor_speed": "needs an RPM deck: add rpm.m1, rpm.m2, rpm.m3, rpm.m4",
         "battery": "add pm.vbat",
@@ -247,8 +246,7 @@ FORMAT = LogFormat(
         "low-pass)",
         "specific_force": "add acc.x, acc.y, acc.z",
         "position": "needs a positioning system: add stateEstimate.x, stateEstimate.y, "
-        "stateEstimate.z, or locSrv.x, "
-        "locSrv.y, locSrv.z for the poses that motion capture sends",
+        "stateEstimate.z, or locSrv.x, locSrv.y, locSrv.z for the poses that motion capture sends",
         "velocity": "needs a positioning system: add stateEstimate.vx, stateEstimate.vy, "
         "stateEstimate.vz",
         "setpoint": "add ctrltarget.x, ctrltarget.y, ctrltarget.z",

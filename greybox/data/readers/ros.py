@@ -331,9 +331,8 @@ FORMAT = LogFormat(
         "": "record with header stamps of the sensors (not of the reception) and one clock "
         "(chrony or PTP between machines); a mapping file says which topics are which channels",
         "command": "record what is sent to each rotor, after the mixer (px4_msgs/ActuatorMotors, "
-        "mav_msgs/Actuators, ESC "
-        "commands), and name it in a mapping file; a body-rate or thrust setpoint is no rotor "
-        "command",
+        "mav_msgs/Actuators, ESC commands), and name it in a mapping file; a body-rate or thrust "
+        "setpoint is no rotor command",
         "rotor_speed": "record the ESC telemetry (mav_msgs/Actuators, mavros_msgs/ESCTelemetry)",
         "battery": "record sensor_msgs/BatteryState",
         "attitude": "record the pose (geometry_msgs/PoseStamped of motion capture, "

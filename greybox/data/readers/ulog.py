@@ -88,8 +88,7 @@ def read_ulog(path: Path) -> Recording:
     if servos_among(parameters):
         notes.append(
             "a VTOL: servos stand among its outputs, so that outputs without a function are no "
-            "rotors "
-            "([command] fields in a mapping file say which are)"
+            "rotors ([command] fields in a mapping file say which are)"
         )
     return Recording(
         format="ulog",
@@ -217,21 +216,17 @@ FORMAT = LogFormat(
     libraries=("pyulog",),
     advice={
         "": "SDLOG_PROFILE = 25 (bit 0 default, bit 3 system identification, bit 4 high rate) logs "
-        "gyro, accelerometer, "
-        "attitude and motor commands at full rate; SDLOG_MODE = 0 logs from arming to disarming; a "
-        "fast SD card avoids "
-        "drop-outs. etc/logging/logger_topics.txt on the SD card (lines of topic and interval in "
-        "ms) replaces the whole "
-        "profile: where it is used, it must name every topic",
+        "gyro, accelerometer, attitude and motor commands at full rate; SDLOG_MODE = 0 logs from "
+        "arming to disarming; a fast SD card avoids drop-outs. etc/logging/logger_topics.txt on "
+        "the SD card (lines of topic and interval in ms) replaces the whole profile: where it is "
+        "used, it must name every topic",
         "command": "set bit 3 or 4 of SDLOG_PROFILE (8 or 16): actuator_motors at full rate, by "
         "default it is 10 Hz; "
         "before PX4 1.13: actuator_outputs in etc/logging/logger_topics.txt on the SD card",
         "rotor_speed": "ESCs with telemetry (DShot: DSHOT_TEL_CFG; bidirectional DShot; UAVCAN): "
-        "esc_status; bit 4 of "
-        "SDLOG_PROFILE (16) logs it at 200 Hz",
+        "esc_status; bit 4 of SDLOG_PROFILE (16) logs it at 200 Hz",
         "battery": "a power module (BAT1_V_CHANNEL or its driver): battery_status, 5 Hz by "
-        "default; `battery_status 20` in "
-        "etc/logging/logger_topics.txt for 50 Hz",
+        "default; `battery_status 20` in etc/logging/logger_topics.txt for 50 Hz",
         "attitude": "bit 4 of SDLOG_PROFILE (16): vehicle_attitude at full rate, by default it is "
         "20 Hz",
         "rate": "bit 3 or 4 of SDLOG_PROFILE (8 or 16): sensor_combined and "
@@ -239,8 +234,7 @@ FORMAT = LogFormat(
         "specific_force": "bit 3 of SDLOG_PROFILE (8): sensor_combined and vehicle_acceleration at "
         "full rate",
         "position": "an estimate needs GPS, optical flow or external poses; bit 7 of SDLOG_PROFILE "
-        "(128) logs motion "
-        "capture (vehicle_visual_odometry); `vehicle_local_position 10` in "
+        "(128) logs motion capture (vehicle_visual_odometry); `vehicle_local_position 10` in "
         "etc/logging/logger_topics.txt for 100 Hz",
         "velocity": "as position: `vehicle_local_position 10` in etc/logging/logger_topics.txt on "
         "the SD card for 100 Hz",

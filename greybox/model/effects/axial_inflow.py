@@ -22,8 +22,7 @@ class AxialInflow(Effect):
     formula = "dT_i = -k_z Omega_i v_a,i,z"
     references = (
         "Huang, Hoffmann, Waslander and Tomlin 2009, Aerodynamics and control of autonomous "
-        "quadrotor helicopters in "
-        "aggressive maneuvering, ICRA",
+        "quadrotor helicopters in aggressive maneuvering, ICRA",
         "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with "
         "aerodynamics, arXiv:2306.04485",
     )

@@ -27,8 +27,7 @@ class CommandSaturation(Effect):
     formula = "u_eff = clip(u, u_min + a_lo, u_max - a_hi)"
     references = (
         "Faessler, Falanga and Scaramuzza 2017, Thrust Mixing, Saturation, and Body-Rate Control "
-        "for Accurate Aggressive "
-        "Quadrotor Flight, IEEE Robotics and Automation Letters 2(2)",
+        "for Accurate Aggressive Quadrotor Flight, IEEE Robotics and Automation Letters 2(2)",
     )
     validity = (
         "logged command from before the limit; no slope at the null where no command "

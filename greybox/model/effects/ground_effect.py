@@ -34,8 +34,7 @@ class GroundEffect(Effect):
     )
     validity = (
         "hubs higher than half a rotor radius over level ground at z = 0, slow flight; lower than "
-        "about two radii fit with "
-        "the kalman predictor, whose gain follows the height"
+        "about two radii fit with the kalman predictor, whose gain follows the height"
     )
     needs = Needs(vehicle=("actuator.rotor_radius",), sensors=("position",))
     case = ReferenceCase(
@@ -54,8 +53,7 @@ class GroundEffect(Effect):
             )
         },
         working="R = 0.0635 m. At z = R: R/4z = 1/4, 1 / (1 - 1.6/16) = 1/0.9. On the ground as at "
-        "z = R/2: "
-        "1 / (1 - 1.6/4) = 1/0.6",
+        "z = R/2: 1 / (1 - 1.6/4) = 1/0.6",
     )
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:

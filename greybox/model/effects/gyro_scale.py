@@ -25,8 +25,7 @@ class GyroScale(Effect):
     formula = "omega_meas = (I + diag(s_x, s_y, s_z)) omega"
     references = (
         "Tedaldi, Pretto and Menegatti 2014, A Robust and Easy to Implement Method for IMU "
-        "Calibration without External "
-        "Equipments, ICRA",
+        "Calibration without External Equipments, ICRA",
     )
     validity = "constant over a flight, the same for both signs"
     tags = frozenset({"linear-in-parameters"})

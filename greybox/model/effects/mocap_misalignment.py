@@ -25,8 +25,7 @@ class MocapMisalignment(Effect):
     formula = "q_meas = q * exp(theta / 2), v_marker = Exp(theta)^T v_body"
     references = (
         "Furrer, Fehr, Novkovic et al. 2018, Evaluation of Combined Time-Offset Estimation and "
-        "Hand-Eye Calibration on "
-        "Robotic Datasets, Field and Service Robotics",
+        "Hand-Eye Calibration on Robotic Datasets, Field and Service Robotics",
     )
     validity = "angles up to a few tenths of a radian"
     needs = Needs(sensors=("attitude",))

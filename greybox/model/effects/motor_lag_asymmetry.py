@@ -25,8 +25,7 @@ class MotorLagAsymmetry(Effect):
     formula = "tau_up = tau (1 - a), tau_down = tau (1 + a)"
     references = (
         "Furrer, Burri, Achtelik and Siegwart 2016, RotorS: a modular Gazebo MAV simulator "
-        "framework (time constants up "
-        "and down)",
+        "framework (time constants up and down)",
     )
     validity = "next to motor_lag; one time constant each way"
     needs = Needs(effects=("motor_lag",))

@@ -23,8 +23,7 @@ class PayloadMass(Effect):
     formula = "m <- m (1 + mu)"
     references = (
         "Pounds, Bersak and Dollar 2012, Stability of small-scale UAV helicopters and quadrotors "
-        "with added payload mass "
-        "under PID control, Autonomous Robots 33",
+        "with added payload mass under PID control, Autonomous Robots 33",
     )
     validity = "a load fixed near the centre of mass; not separable from a free thrust scale"
     tags = frozenset({"linear-in-parameters"})

@@ -23,8 +23,7 @@ class PoseLeverArm(Effect):
     formula = "p_meas = p + R r, v_meas = v + R (omega x r)"
     references = (
         "Furrer, Fehr, Novkovic et al. 2018, Evaluation of Combined Time-Offset Estimation and "
-        "Hand-Eye Calibration on "
-        "Robotic Datasets, Field and Service Robotics",
+        "Hand-Eye Calibration on Robotic Datasets, Field and Service Robotics",
     )
     validity = "markers that do not move against the body"
     tags = frozenset({"linear-in-parameters"})

@@ -22,8 +22,7 @@ class TranslationalLift(Effect):
     formula = "dT_i = k_h (v_a,i,x^2 + v_a,i,y^2)"
     references = (
         "Hoffmann, Huang, Waslander and Tomlin 2007, Quadrotor Helicopter Flight Dynamics and "
-        "Control: Theory and "
-        "Experiment, AIAA Guidance, Navigation and Control Conference",
+        "Control: Theory and Experiment, AIAA Guidance, Navigation and Control Conference",
         "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with "
         "aerodynamics, arXiv:2306.04485",
     )
