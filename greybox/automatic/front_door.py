@@ -24,8 +24,8 @@ from greybox.estimation.solver import Progress
 from greybox.model.dynamics import Dynamics
 from greybox.model.faults import demand_sound, faults_of
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import demand_known
 from greybox.model.vehicle import Vehicle
-from greybox.model.verdict import demand_finished
 from greybox.progress import in_notebooks
 from greybox.takes import FLIGHTS, MODEL, NAMES, SUBJECT, takes
 from greybox.validation.calibration import calibrated
@@ -65,11 +65,10 @@ def fit(
     solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared,
     values, priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
     use_compiler. Raises what `greybox.estimation.fit.fit` raises, `ModelError` for a `source` that
-    was not finished, `BadDataError` where the
-    vehicle or all flights have faults that block, and `DataError` for a flight that is both to
-    train and to test.
+    was not finished or has a learned part, `BadDataError` where the vehicle or all flights have
+    faults that block, and `DataError` for a flight that is both to train and to test.
     """
-    demand_finished(source)
+    demand_known(source)
     data = Dataset.of(data)
     held_out = Dataset(flights=(test,)) if isinstance(test, Flight) else test
     demand_disjoint(data.files, () if held_out is None else held_out.files)

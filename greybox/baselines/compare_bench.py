@@ -35,6 +35,7 @@ from greybox.journal import apart, spared
 from greybox.linear.fit import LinearFit, fit_linear
 from greybox.linear.records import Record, split_at_missing
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import demand_known
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray, IntArray, Signal
 from greybox.validation.adapt import adaptation
@@ -256,10 +257,12 @@ class Bench:
 
     @cached_property
     def physics(self) -> tuple[IdentifiedModel, float]:
-        """The fitted nonlinear model and the seconds that it took."""
+        """The fitted nonlinear model and the seconds that it took. Raises `ModelError` for one with
+        a learned part."""
         began = time.perf_counter() + spared()
         with apart("the nonlinear model"):  # whichever method needs it first
             model = self.fit()
+        demand_known(model)
         return model, time.perf_counter() + spared() - began
 
     # ------------------------------------------------------------------------------------ outcomes

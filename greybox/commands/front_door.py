@@ -133,11 +133,13 @@ def profile(
     `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has
     its own value. The interval at `level` ends where the likelihood ratio says so; an end is the
     bound where the profile reaches that first, and infinite where the data do not end it. Raises
-    `UnknownNameError`.
+    `UnknownNameError`, and `ModelError` for the fit of a model with a learned part.
     """
     from greybox.estimation.profile import profile as along
     from greybox.estimation.solvers import SOLVERS
+    from greybox.model.known import demand_known
 
+    demand_known(fit.model)
     solver = SOLVERS[str(fit.settings["solver"])]()
     return along(fit.problem, solver, fit.theta, name, flight=flight, grid=grid, level=level)
 

@@ -11,7 +11,7 @@ from greybox.commands.command_line import Subcommands, effects_file_option, type
 from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.going_on import going_on
-from greybox.commands.judgement import admitted, source_option
+from greybox.commands.judgement import admitted, begun_with, source_option
 from greybox.commands.model_options import names
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
@@ -114,18 +114,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _read(arguments: argparse.Namespace) -> tuple[IdentifiedModel, Dataset, Path]:
     """The model, the flights that it was fitted to, and the fit.json beside it."""
-    from greybox.errors import DataError, ModelError
-    from greybox.model.layer import learned_push_of, physics_of
+    from greybox.errors import DataError
+    from greybox.model.known import demand_known
+    from greybox.model.layer import physics_of
     from greybox.model.noise_free import with_sensor_noise
 
-    model = loaded(arguments)
-    if learned_push_of(model.dynamics) is not None:
-        raise ModelError(
-            "a profile lets all other parameters move, and what was learned is none of them",
-            where=arguments.model,
-            expected="the physics alone",
-            fix="name the model file that it was learned for",
-        )
+    model = begun_with(loaded(arguments), arguments)
+    demand_known(model)
     beside = Path(arguments.model).with_name("fit.json")
     if not beside.exists():
         raise DataError(

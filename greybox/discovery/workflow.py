@@ -51,11 +51,11 @@ from greybox.estimation.record import sample_time
 from greybox.journal import spared
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.faults import faults_of
-from greybox.model.known import NOTHING, since
+from greybox.model.known import NOTHING, demand_known, since
 from greybox.model.layer import physics_of
 from greybox.model.noise_free import as_measured
 from greybox.model.vehicle import Vehicle
-from greybox.model.verdict import STOPPED, demand_finished
+from greybox.model.verdict import STOPPED
 from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.residual.attainable import attainable
@@ -105,7 +105,7 @@ def discover(
     """
     began = time.perf_counter()
     options, doubts = DiscoverOptions.of(options, choices), list[str]()
-    demand_finished(options.since)
+    demand_known(options.since)
     train, vehicle = Dataset.of(train), subject if isinstance(subject, Vehicle) else None
     tested = test if test is not None and test.flights else None
     if tested is not None:

@@ -27,7 +27,7 @@ from greybox.model.effect import Effect
 from greybox.model.effective_lag import EffectiveLag, effective_lag
 from greybox.model.effects_file import effects_of, own_effects
 from greybox.model.given_values import demand_changes
-from greybox.model.layer import innermost, physics_of
+from greybox.model.layer import innermost, learned_part, physics_of
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import Augmented, Disturbance, NoisePart, noise_part, with_parts
 from greybox.model.own_model import own_from_dict, own_to_dict
@@ -354,12 +354,7 @@ class IdentifiedModel(Shown):
 def _check_file(data: Parsed, where: str) -> None:
     """Raises `FileFormatError` for another kind of model, or a file that was changed."""
     if data.get("kind") == "hybrid":
-        raise FileFormatError(
-            "a model with a learned part",
-            where=where,
-            expected="the physics alone",
-            fix="name the model file that it was learned for; greybox.load reads both",
-        )
+        raise learned_part(FileFormatError, where)
     if data.get("kind") not in KINDS:
         raise FileFormatError(
             "unknown kind of model",

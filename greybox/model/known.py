@@ -9,10 +9,12 @@ from typing import Literal, Self
 import numpy as np
 from scipy.special import stdtrit
 
+from greybox.errors import ModelError
 from greybox.model.absence import TYPICAL
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import physics_of
+from greybox.model.layer import learned_part, learned_push_of, physics_of
+from greybox.model.verdict import demand_finished
 from greybox.symbolic import FloatArray
 
 LEAST = 1e-6
@@ -36,6 +38,15 @@ class Known:
 
 NOTHING = Known()
 """Of a craft that nobody has identified."""
+
+
+def demand_known(model: IdentifiedModel | None) -> None:
+    """Raises `ModelError` for a model whose numbers are no beginning: of a command that ended
+    before the model was judged, or with a learned part. The numbers of such a one are those beside
+    what was learned; whoever went on from them would call them the physics'."""
+    demand_finished(model)
+    if model is not None and learned_push_of(model.dynamics) is not None:
+        raise learned_part(ModelError, model.source or model.name)
 
 
 def since(model: IdentifiedModel) -> Known:

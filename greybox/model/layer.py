@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self, TypeVar
 
-from greybox.errors import ModelError
+from greybox.errors import GreyboxError, ModelError
 from greybox.model.dynamics import Dynamics
 from greybox.model.dynamics_text import dynamics_text, parameter_rows
 from greybox.model.effect import Effect
@@ -24,6 +24,7 @@ from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, given
 
 D = TypeVar("D", bound=Dynamics)
+E = TypeVar("E", bound=GreyboxError)
 
 
 class Layer(Shown, ABC):
@@ -252,6 +253,16 @@ def physics_of(dynamics: Dynamics) -> PhysicsModel | None:
 def learned_push_of(dynamics: Dynamics) -> LearnedPush | None:
     """The outermost learned part of a model; None where nothing was learned."""
     return next((layer for layer in layers(dynamics) if isinstance(layer, LearnedPush)), None)
+
+
+def learned_part(kind: type[E], where: str) -> E:
+    """What is raised where the physics alone can be taken, and a model with a learned part came."""
+    return kind(
+        "a model with a learned part",
+        where=where,
+        expected="the physics alone",
+        fix="name the model file that it was learned for; greybox.load reads both",
+    )
 
 
 def with_physics(dynamics: D, change: Callable[[PhysicsModel], PhysicsModel]) -> D:

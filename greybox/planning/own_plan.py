@@ -21,8 +21,8 @@ from greybox.estimation.fit import noise_of
 from greybox.files import Json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.known import demand_known
 from greybox.model.parameter import Parameter
-from greybox.model.verdict import demand_finished
 from greybox.planning.information import Score, choose, efficiency, errors, information
 from greybox.planning.options import left_over, whole_pieces
 from greybox.planning.planning_case import precision_of
@@ -223,7 +223,7 @@ def _subject(
     sample_time: float | None,
 ) -> OwnSubject:
     fitted = model if isinstance(model, IdentifiedModel) else None
-    demand_finished(fitted)
+    demand_known(fitted)
     core = fitted.core if fitted is not None else model
     if not isinstance(core, StateSpaceModel):
         raise ModelError(

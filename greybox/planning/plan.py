@@ -14,8 +14,8 @@ from greybox.errors import FitError, GreyboxError
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import says_choices
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import demand_known
 from greybox.model.vehicle import Vehicle
-from greybox.model.verdict import demand_finished
 from greybox.planning.excitation_blocks import Flown, excitation_blocks, fit_in, sequence
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
@@ -56,7 +56,7 @@ def plan(
     nothing to estimate), `FitError` (nothing that can be flown), `UnknownNameError`, `ModelError`.
     """
     o = PlanOptions.of(options, choices)
-    demand_finished(model)
+    demand_known(model)
     count = _pieces(o)
     short = left_over(o.seconds, o.piece)
     for text in short:
