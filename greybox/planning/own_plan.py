@@ -236,7 +236,8 @@ def _subject(
             expected="the rate at which the experiment is logged",
             fix="--rate 100",
         )
-    declared = {d.name: d for d in core.parameters}
+    dynamics = fitted.dynamics if fitted is not None else core
+    declared = {d.name: d for d in dynamics.parameters}
     for n in (*(free or ()), *(values or ())):
         if n not in declared:
             raise UnknownNameError("parameter", n, declared)
@@ -247,11 +248,11 @@ def _subject(
         raise GreyboxError("nothing to estimate: every number is exact", fix="--free a,b")
     known = {} if fitted is None else {n: v for n, v in fitted.values.items() if n in declared}
     levels = {} if fitted is None else noise_of(fitted)
-    here = {f"noise.process.{n}" for n in core.noises.names} | {
-        f"noise.sensor.{n}" for n in core.innovations.names
+    here = {f"noise.process.{n}" for n in dynamics.noises.names} | {
+        f"noise.sensor.{n}" for n in dynamics.innovations.names
     }
     return OwnSubject(
-        dynamics=core,
+        dynamics=dynamics,
         free=names,
         values={**{n: d.nominal for n, d in declared.items()}, **known, **(values or {})},
         noise={**{n: v for n, v in levels.items() if n in here}, **(noise or {})},

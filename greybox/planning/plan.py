@@ -167,7 +167,7 @@ def _hovering(
     limits."""
     for assumed in (1.0, 0.5, 0.25, 0.1, 0.05):
         wish = make(assumed)
-        room = limits or Limits(command=command_range(wish.dynamics.vehicle))
+        room = limits or Limits(command=command_range(wish.physics.vehicle))
         hover = excitation_blocks(wish.flying, room, seconds=seconds, setpoints_only=True)[0]
         if fit_in(wish.flying, [hover], room)[0] is not None:
             note = f"effects without a stated size are taken at {assumed:g} of their typical one"

@@ -16,6 +16,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
+from greybox.model.noise import disturbances, sensor_parts, with_parts
 from greybox.model.parameter import Parameter, ParameterValues
 from greybox.model.sensor import Sensor
 from greybox.model.sensors import USUAL
@@ -59,15 +60,16 @@ class Estimated(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class PlanningCase:
-    """`dynamics` is what will be fitted, `flying` the same craft with all sensors, `free` the
-    parameters to estimate.
+    """`dynamics` is what will be fitted, with the noise that lasts of a fitted model, `flying` the
+    same craft without, with all sensors, `free` the parameters to estimate.
 
     `values` are taken for true, `noise` are levels by name, `precision` (k, k) is what is known of
     `free` before. `wanted` are the parameters that the plan is for; `groups` maps effects to their
     free parameters.
     """
 
-    dynamics: PhysicsModel
+    dynamics: Dynamics
+    physics: PhysicsModel
     flying: IdentifiedModel
     free: tuple[str, ...]
     wanted: tuple[str, ...]
@@ -108,7 +110,7 @@ def planning_case(
     `effects` are what the plan is for: their parameters are estimated, at the size that vehicle,
     model or `values` give them, else at `assumed` times their typical one. Everything with a sigma
     in the vehicle file is estimated beside them, or exactly `free`. With a model, its covariance is
-    what is known before, and its noise levels are used. Raises `ModelError`, `UnknownNameError`,
+    what is known before, and its noise is that of the flights. Raises `ModelError`, `UnknownNameError`,
     `GreyboxError`.
     """
     asked = tuple(effect_by_name(e) if isinstance(e, str) else e for e in effects)
@@ -125,7 +127,8 @@ def planning_case(
             "a model driven by measured rotor speeds cannot be flown",
             fix="log the commands, and fit them",
         )
-    declared = {d.name: d for d in physics.parameters}
+    dynamics = physics if model is None else _with_noise_of(model, physics)
+    declared = {d.name: d for d in dynamics.parameters}
     known = {} if model is None else dict(model.values)
     numbers = {n: known.get(n, d.nominal) for n, d in declared.items()}
     for e in asked:
@@ -137,7 +140,8 @@ def planning_case(
     wanted = tuple(n for e in asked for n in groups[e.name])
     names = _free(declared, free, wanted, model)
     return PlanningCase(
-        dynamics=physics,
+        dynamics=dynamics,
+        physics=physics,
         flying=_flying(physics, numbers, physics.sample_time),
         free=names,
         wanted=tuple(n for n in wanted if n in names) or names,
@@ -145,7 +149,7 @@ def planning_case(
             e: inside for e, ns in groups.items() if (inside := tuple(n for n in ns if n in names))
         },
         values=numbers,
-        noise=_noise(physics, model, noise),
+        noise=_noise(dynamics, model, noise),
         precision=precision_of(declared, names, model),
         sample_time=physics.sample_time,
     )
@@ -172,6 +176,13 @@ def _fitted(
         sensors=_sensors(tuple(sensors)) if sensors else physics.sensors,
         sample_time=sample_time or model.sample_time,
     )
+
+
+def _with_noise_of(model: IdentifiedModel, physics: PhysicsModel) -> Dynamics:
+    """The physics with what lasts of the fitted model's noise: its white rest alone is what no
+    flight has, and would promise errors that none gives."""
+    kept = [p for p in sensor_parts(model.dynamics) if p.sensor in physics.sensor_names]
+    return with_parts(physics, (*kept, *disturbances(model.dynamics)))
 
 
 def _described(
@@ -287,7 +298,7 @@ def _flying(physics: PhysicsModel, numbers: Mapping[str, float], dt: float) -> I
     means = dict(zip(whole.inputs.names, inputs, strict=True))
     return IdentifiedModel(
         dynamics=whole,
-        values=ParameterValues(numbers),
+        values=ParameterValues({d.name: numbers[d.name] for d in whole.parameters}),
         process_noise=whole.noise_scale(dt),
         sensor_noise=whole.sensor_scale(),
         weak=np.full(len(whole.error_states), 100.0),
@@ -298,12 +309,12 @@ def _flying(physics: PhysicsModel, numbers: Mapping[str, float], dt: float) -> I
 
 
 def _noise(
-    physics: PhysicsModel, model: IdentifiedModel | None, given: Mapping[str, float] | None
+    dynamics: Dynamics, model: IdentifiedModel | None, given: Mapping[str, float] | None
 ) -> dict[str, float]:
     """Levels of the model's filter (where it has them), then the given ones."""
     levels = noise_of(model) if model is not None else {}
-    here = {f"noise.process.{n}" for n in physics.noises.names} | {
-        f"noise.sensor.{n}" for n in physics.innovations.names
+    here = {f"noise.process.{n}" for n in dynamics.noises.names} | {
+        f"noise.sensor.{n}" for n in dynamics.innovations.names
     }
     return {n: v for n, v in levels.items() if n in here} | dict(given or {})
 

@@ -60,9 +60,9 @@ class Plan(Shown):
         s = self.subject
         return {
             "schema": SCHEMA,
-            "vehicle": s.dynamics.vehicle.name,
-            "effects": [e.name for e in s.dynamics.effects],
-            "sensors": [x.name for x in s.dynamics.sensors],
+            "vehicle": s.physics.vehicle.name,
+            "effects": [e.name for e in s.physics.effects],
+            "sensors": [x.name for x in s.physics.sensors],
             "sample_time": s.sample_time,
             "seconds": self.seconds,
             "seed": self.seed,
