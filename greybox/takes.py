@@ -10,10 +10,13 @@ import math
 import numbers
 import os
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, ParamSpec, Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar, runtime_checkable
 
 from greybox.errors import DataError, GreyboxError, ModelError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -32,6 +35,15 @@ class Named(Protocol):
     def __iter__(self) -> Iterator[Hashable]: ...
 
     def __len__(self) -> int: ...
+
+
+@runtime_checkable
+class _Framed(Protocol):
+    """A frame or series of pandas."""
+
+    @property
+    def iloc(self) -> object:
+        """Rows by number."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +84,9 @@ class Several(Kind):
             fix = fix or f"{name}={[word.strip() for word in value.split(',')]}"
         elif single:
             fix = fix or f"{name}=[{value}]"
-        # The columns of a data frame are no list that anybody meant.
-        if single or not isinstance(value, Iterable) or hasattr(value, "iloc"):
+        # The columns of a data frame, or the names of what has values, are no list that anybody
+        # meant: fixed={"mass": 0.03} held another mass.
+        if single or not isinstance(value, Iterable) or isinstance(value, Mapping | _Framed):
             raise self.error(f"{name} takes {self.words}", got=shown(value), fix=fix or None)
         elements = tuple(value)
         for element in elements:
@@ -109,6 +122,23 @@ def is_path(value: object) -> bool:
 def is_number(value: object) -> bool:
     """Whether it is a finite real number."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def is_flag(value: object) -> bool:
+    """Whether it is true or false, of Python or of NumPy."""
+    return isinstance(value, bool) or type(value).__name__ in ("bool", "bool_")
+
+
+def is_whole(value: object) -> bool:
+    """Whether it is a whole number, of Python or of NumPy."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+
+
+def are_numbers(value: object) -> bool:
+    """Whether it holds numbers by name."""
+    return isinstance(value, Named) and all(
+        isinstance(n, str) and is_number(v) for n, v in value.items()
+    )
 
 
 VEHICLE = Kind(
@@ -156,7 +186,11 @@ LOGS = Kind(
     words="flights (a Dataset, a Flight) or raw logs",
     fits=lambda v: (
         FLIGHTS.fits(v)
-        or (isinstance(v, Iterable) and all(has("flight", "rows", "channels")(log) for log in v))
+        or (
+            isinstance(v, Iterable)
+            and not is_path(v)
+            and all(has("flight", "rows", "channels")(log) for log in v)
+        )
     ),
     fix="greybox.read_logs(paths, vehicle), read_table(path) of each log",
 )
@@ -198,6 +232,11 @@ OWN_EFFECTS = Several(
     "without being named",
     error=ModelError,
 )
+OWN_SENSORS = Several(
+    words="a list of sensors of your own, as they are",
+    fits=has("name", "clock", "summary"),
+    error=ModelError,
+)
 MAPPING = Kind(
     words="the path of a mapping file, or a LogMapping",
     fits=lambda v: is_path(v) or is_a("LogMapping")(v),
@@ -207,9 +246,17 @@ CHANNELS = Kind(
     fits=lambda v: isinstance(v, Named) and len(v) > 0 and all(isinstance(n, str) for n in v),
     fix="dataset_from_arrays(t, {'u1': u1, 'p': p})",
 )
+INPUT = Kind(
+    words='"command" or "speed"',
+    fits=lambda v: isinstance(v, str) and v in ("command", "speed"),
+    error=ModelError,
+)
 TEXT = Kind(words="a text", fits=lambda v: isinstance(v, str))
 NUMBER = Kind(words="a number", fits=is_number)
 NUMBERS = Several(words="a list of numbers", fits=is_number)
+VALUES = Kind(words="names with numbers: {'mass': 0.03}", fits=are_numbers, error=GreyboxError)
+WHOLE = Kind(words="a whole number", fits=is_whole, error=GreyboxError)
+FLAG = Kind(words="True or False", fits=is_flag, error=GreyboxError)
 COUNT = Kind(
     words="a whole number above zero",
     fits=lambda v: is_number(v) and int(v) == v and v > 0,
@@ -246,3 +293,30 @@ def takes(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return guarded
 
     return decorate
+
+
+def _is_real(value: object) -> bool:
+    """Whether it is a real number; its record says of which range."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+BY_TYPE: Mapping[str, Kind] = {
+    "bool": FLAG,
+    "int": WHOLE,
+    "float": Kind(words="a number", fits=_is_real, error=GreyboxError),
+    "str": Kind(words="a text", fits=TEXT.fits, error=GreyboxError),
+    "tuple[str, ...]": NAMES,
+    "Mapping[str, float]": VALUES,
+}
+"""What a field of a record takes, by its declared type."""
+
+
+def taken_fields(record: DataclassInstance, **kinds: Kind) -> None:
+    """For the `__post_init__` of a frozen record of options: every field holds what it is declared
+    as, or one of `kinds`. Other types are left to their record. Raises `GreyboxError`."""
+    for f in fields(record):
+        declared = str(f.type).removesuffix(" | None")
+        kind = {"seed": SEED, **kinds}.get(f.name) or BY_TYPE.get(declared)
+        value = getattr(record, f.name)
+        if kind is not None and not (value is None and declared != f.type):
+            object.__setattr__(record, f.name, kind.taken(f.name, value))

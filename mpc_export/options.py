@@ -8,6 +8,7 @@ from typing import Literal, TypedDict
 
 from greybox.errors import UnknownNameError
 from greybox.estimation.options import chosen
+from greybox.takes import taken_fields
 from mpc_export.targets import TARGETS as ADDED
 
 FORMS = ("c", "casadi")
@@ -65,15 +66,13 @@ class ExportOptions:
     """Whether a model is written although flights judged it not usable."""
 
     def __post_init__(self) -> None:
-        for name in ("targets", "with_", "runtime_parameters"):
-            given: Iterable[str] = getattr(self, name)
-            object.__setattr__(self, name, tuple(given))
+        taken_fields(self)
 
     @classmethod
     def of(cls, options: ExportOptions | None, choices: ExportChoices) -> ExportOptions:
         """`options` (None: the defaults) with the `choices` in place of its own. Raises
         `UnknownNameError`."""
-        return chosen("option of an export", options or cls(), choices)
+        return chosen("option of an export", cls, options, choices)
 
     def completed(self) -> ExportOptions:
         """The same with what the targets need besides. Raises `UnknownNameError` (a target)."""

@@ -73,7 +73,9 @@ def fit(
     held_out = Dataset(flights=(test,)) if isinstance(test, Flight) else test
     demand_disjoint(data.files, () if held_out is None else held_out.files)
     if isinstance(subject, Vehicle):
-        said: FitChoices = choices if options is None else {**_said(options), **choices}
+        said: FitChoices = (
+            choices if options is None else {**_said(FitOptions.of(options, {})), **choices}
+        )
         given = Given(choices=said, source=source)
         return _automatic(subject, data, held_out, given, tuple(accept), say, progress)
     if source is not None:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from greybox.estimation.options import chosen
+from greybox.takes import Several, is_whole, taken_fields
+
+SAMPLES = Several(words="a list of whole numbers of samples", fits=is_whole)
 
 
 class CompareChoices(TypedDict, total=False):
@@ -36,10 +39,10 @@ class CompareOptions:
     """Samples ahead that are listed."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "horizons", tuple(self.horizons))
+        taken_fields(self, horizons=SAMPLES)
 
     @classmethod
     def of(cls, options: CompareOptions | None, choices: CompareChoices) -> CompareOptions:
         """`options` (None: the defaults) with the `choices` in place of its own. Raises
         `UnknownNameError`."""
-        return chosen("option of a comparison", options or cls(), choices)
+        return chosen("option of a comparison", cls, options, choices)

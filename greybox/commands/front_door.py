@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Unpack
 from greybox.baselines.compare_options import CompareChoices, CompareOptions
 from greybox.estimation.options import says_choices
 from greybox.progress import in_notebooks
-from greybox.takes import FIT, FLIGHTS, NAMES, OWN_EFFECTS, PATH, VEHICLE, takes
+from greybox.takes import FIT, FLIGHTS, NAMES, OWN_EFFECTS, OWN_SENSORS, PATH, VEHICLE, takes
 
 if TYPE_CHECKING:
     from greybox.baselines.document import CompareDocument
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mpc_export.options import ExportChoices
 
 
-@takes(path=PATH, effects=OWN_EFFECTS)
+@takes(path=PATH, effects=OWN_EFFECTS, sensors=OWN_SENSORS)
 def load(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel | LinearModel | OutputHybrid:
@@ -53,6 +53,7 @@ def load(
     return load_model(path, effects=effects, sensors=sensors)
 
 
+@takes(folder=PATH)
 def export(
     model: IdentifiedModel | LinearModel,
     folder: str | os.PathLike[str],

@@ -7,6 +7,7 @@ holds until the next one. A longer gap ends the segment.
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Mapping
 from typing import TypeVar
 
@@ -33,6 +34,7 @@ from greybox.data.resampling import AVERAGE_FROM, held
 from greybox.data.segment import Segment
 from greybox.errors import DataError
 from greybox.runs import runs
+from greybox.takes import POSITIVE, shown
 
 FloatArray = npt.NDArray[np.float64]
 Columns = dict[str, Column]
@@ -61,10 +63,12 @@ def condition(
     for a bad `rate` or `max_gap`.
     """
     where = where or raw.source
-    if rate is not None and not (np.isfinite(rate) and rate > 0):
-        raise DataError(f"rate {rate}", expected="a positive number of Hz", where=where)
-    if not max_gap > 0:
-        raise DataError(f"max_gap {max_gap}", expected="a positive number of seconds", where=where)
+    if rate is not None and not POSITIVE.fits(rate):
+        raise DataError(f"rate {shown(rate)}", expected="a positive number of Hz", where=where)
+    if not (isinstance(max_gap, numbers.Real) and max_gap > 0):  # infinite: no gap
+        raise DataError(
+            f"max_gap {shown(max_gap)}", expected="a positive number of seconds", where=where
+        )
     _demand_increasing(raw, where)
     notes = list(raw.notes)
     channels: dict[str, FloatArray] = dict(raw.channels)

@@ -10,7 +10,7 @@ from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.options import FitOptions, chosen
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
-from greybox.takes import NAMES, OWN_EFFECTS
+from greybox.takes import OWN_EFFECTS, taken_fields
 
 
 class DiscoverChoices(TypedDict, total=False):
@@ -64,8 +64,7 @@ class DiscoverOptions:
     """Seed of bootstraps and random halves."""
 
     def __post_init__(self) -> None:
-        for name, kind in (("own", OWN_EFFECTS), ("per_flight", NAMES), ("fixed", NAMES)):
-            object.__setattr__(self, name, kind.taken(name, getattr(self, name)))
+        taken_fields(self, own=OWN_EFFECTS)
 
     @classmethod
     def of(cls, options: DiscoverOptions | None, choices: DiscoverChoices) -> DiscoverOptions:
@@ -73,7 +72,7 @@ class DiscoverOptions:
 
         Raises `UnknownNameError`.
         """
-        return chosen("option of a search", options or cls(), choices)
+        return chosen("option of a search", cls, options, choices)
 
     def but(self, **choices: Unpack[DiscoverChoices]) -> DiscoverOptions:
         """These options with other `choices`. Raises `UnknownNameError`."""

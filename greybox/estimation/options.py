@@ -18,7 +18,7 @@ from greybox.estimation.criterion import Criterion
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.prior import Prior, demand_priors
 from greybox.estimation.solver import Solver
-from greybox.takes import SEED
+from greybox.takes import FLAG, Kind, has, shown, taken_fields
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -27,17 +27,21 @@ T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., object])
 Options = TypeVar("Options", bound="DataclassInstance")
 
-_TUPLES = (
-    "disturbance",
-    "noise_parts",
-    "free",
-    "fixed",
-    "considered",
-    "per_flight",
-    "shared",
-    "held_noise",
-    "build",
-)
+
+def _name_or(*attributes: str) -> Callable[[object], bool]:
+    made = has(*attributes)
+    return lambda value: isinstance(value, str) or made(value)
+
+
+_KINDS = {
+    "predictor": Kind(words="a name, or a predictor", fits=_name_or("has_noise", "blocks")),
+    "criterion": Kind(words="a name, or a criterion", fits=_name_or("evaluate")),
+    "solver": Kind(words="a name, or a solver", fits=_name_or("solve")),
+    "estimate_noise": Kind(
+        words='True, False or "process"',
+        fits=lambda v: FLAG.fits(v) or (isinstance(v, str) and v == "process"),
+    ),
+}
 _FLAGS = {
     "predictor": "--predictor",
     "criterion": "--criterion",
@@ -150,22 +154,14 @@ class FitOptions:
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
     def __post_init__(self) -> None:
-        for name in _TUPLES:
-            given: Iterable[str] | None = getattr(self, name)
-            if isinstance(given, str):  # its letters would be taken for names
-                listed = [word.strip() for word in given.split(",")]
-                raise GreyboxError(
-                    f"{name} takes a list of names", got=repr(given), fix=f"{name}={listed}"
-                )
-            object.__setattr__(self, name, None if given is None else tuple(given))
-        for name in ("priors", "flight_priors"):
-            demand_priors(name, getattr(self, name) or {})
-        for name in ("values", "noise"):
-            given = getattr(self, name) or {}
-            if not isinstance(given, Mapping):
-                raise GreyboxError(f"{name} takes names with numbers", got=repr(given))
         for name in ("values", "priors", "flight_priors", "noise"):
-            object.__setattr__(self, name, dict(getattr(self, name) or {}))
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, {})
+        taken_fields(self, **_KINDS)
+        for name in ("priors", "flight_priors"):
+            demand_priors(name, getattr(self, name))
+        for name in ("values", "priors", "flight_priors", "noise"):
+            object.__setattr__(self, name, dict(getattr(self, name)))
 
     @classmethod
     def of(cls, options: FitOptions | None, choices: FitChoices) -> FitOptions:
@@ -173,7 +169,7 @@ class FitOptions:
 
         Raises `UnknownNameError` with the nearest names for a choice that there is not.
         """
-        return chosen("option of a fit", options or cls(), choices)
+        return chosen("option of a fit", cls, options, choices)
 
     def but(self, **choices: Unpack[FitChoices]) -> FitOptions:
         """These options with other `choices`. Raises `UnknownNameError`."""
@@ -243,19 +239,25 @@ class FitOptions:
 _DEFAULTS: Mapping[str, object] = vars(FitOptions())
 
 
-def chosen(kind: str, options: Options, choices: Mapping[str, object]) -> Options:
-    """A frozen record of options with some `choices` in place of its own.
+def chosen(
+    kind: str, record: type[Options], options: Options | None, choices: Mapping[str, object]
+) -> Options:
+    """`options` (None: the defaults of the `record`) with some `choices` in place of its own.
 
     `kind` is what one of them is called. Raises `UnknownNameError` with the nearest names for a
-    choice that is no field, and `GreyboxError` for a seed that is none.
+    choice that is no field, and `GreyboxError` for other options and what a field does not take.
     """
-    known = [f.name for f in fields(options)]
+    known = [f.name for f in fields(record)]
     for name in choices:
         if name not in known:
             raise UnknownNameError(kind, name, known)
-    made = replace(options, **choices)
-    SEED.taken("seed", getattr(made, "seed", 0))
-    return made
+    if not isinstance(options, record | None):
+        raise GreyboxError(
+            f"options takes {record.__name__}",
+            got=shown(options),
+            fix=f"{known[0]}=..., {known[1]}=..., as keywords",
+        )
+    return replace(options or record(), **choices)
 
 
 def says_choices(record: type[DataclassInstance]) -> Callable[[F], F]:

@@ -40,6 +40,7 @@ from greybox.statistics.spectra import (
 )
 from greybox.statistics.spectra import band as band_of
 from greybox.symbolic import BoolArray, FloatArray
+from greybox.takes import POSITIVE, shown
 
 LONGEST = 16.0
 """Longest window [s] that is chosen: 0.19 Hz is the lowest frequency then."""
@@ -257,8 +258,8 @@ def _stretches(data: Dataset, c: _Channels) -> tuple[list[FloatArray], dict[str,
 
 def _longest(lengths: Sequence[int], dt: float, sources: int, window: float | None) -> float:
     """The longest window [s] that leaves averages enough."""
-    if window is not None and not 0 < window < np.inf:
-        raise DataError(f"window {window:g} s", expected="a positive number of seconds")
+    if window is not None and not POSITIVE.fits(window):
+        raise DataError(f"window {shown(window)}", expected="a positive number of seconds")
     need = LEAST_AVERAGES + 2 * sources
     tried = [window] if window is not None else [LONGEST / 2**k for k in range(4)]
     for length in tried:

@@ -53,7 +53,7 @@ from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start
 from greybox.model.vehicle import Vehicle
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, written_once
-from greybox.takes import EFFECTS, NAMES, POSITIVE, VEHICLE, takes
+from greybox.takes import EFFECTS, FLAG, INPUT, NAMES, OWN_SENSORS, POSITIVE, VEHICLE, takes
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -656,6 +656,7 @@ def input_of(columns: Iterable[str], vehicle: Vehicle) -> Literal["command", "sp
 
 
 @takes(vehicle=VEHICLE, columns=NAMES, effects=EFFECTS, sample_time=POSITIVE, noncausal=NAMES)
+@takes(input=INPUT, kinematic_noise=FLAG, sensors=OWN_SENSORS)
 def build_model(
     vehicle: Vehicle,
     columns: Iterable[str],

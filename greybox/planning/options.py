@@ -9,6 +9,13 @@ from typing import TypedDict, Unpack
 from greybox.estimation.options import chosen
 from greybox.model.effect import Effect
 from greybox.planning.limits import Limits
+from greybox.takes import EFFECTS, Kind, has, taken_fields
+
+LIMITS = Kind(
+    words="Limits",
+    fits=has("box", "floor", "command"),
+    fix="greybox.planning.limits.Limits(box=...)",
+)
 
 
 def whole_pieces(seconds: float, piece: float) -> int:
@@ -76,17 +83,17 @@ class PlanOptions:
     """Seed of random manoeuvres."""
 
     def __post_init__(self) -> None:
-        for name in ("effects", "free", "sensors"):
-            given: Iterable[str | Effect] | None = getattr(self, name)
-            object.__setattr__(self, name, None if given is None else tuple(given))
         for name in ("values", "noise"):
-            object.__setattr__(self, name, dict(getattr(self, name) or {}))
+            object.__setattr__(self, name, {} if (v := getattr(self, name)) is None else v)
+        taken_fields(self, effects=EFFECTS, limits=LIMITS)
+        for name in ("values", "noise"):
+            object.__setattr__(self, name, dict(getattr(self, name)))
 
     @classmethod
     def of(cls, options: PlanOptions | None, choices: PlanChoices) -> PlanOptions:
         """`options` (None: the defaults) with the `choices` in place of its own. Raises
         `UnknownNameError`."""
-        return chosen("option of a plan", options or cls(), choices)
+        return chosen("option of a plan", cls, options, choices)
 
     def but(self, **choices: Unpack[PlanChoices]) -> PlanOptions:
         """These options with other `choices`. Raises `UnknownNameError`."""

@@ -14,6 +14,7 @@ from greybox.estimation.options import chosen
 from greybox.residual.kernels import split_name
 from greybox.residual.learners import GP, Learner
 from greybox.residual.posterior import METHODS
+from greybox.takes import taken_fields
 
 NOISE = ("white", "per-group", "auto")
 PRIOR_MEANS = ("zero", "constant")
@@ -63,6 +64,7 @@ class LearnOptions:
     """Whether the physics is refitted beside what is learned; kept where left-out flights want it."""
 
     def __post_init__(self) -> None:
+        taken_fields(self)
         split_name(self.kernel)
         demand_points(self.points)
 
@@ -70,7 +72,7 @@ class LearnOptions:
     def of(cls, options: LearnOptions | None, choices: LearnChoices) -> LearnOptions:
         """`options` (None: the defaults) with the `choices` in place of its own. Raises
         `UnknownNameError`."""
-        return chosen("option of learning", options or cls(), choices)
+        return chosen("option of learning", cls, options, choices)
 
     def but(self, **choices: Unpack[LearnChoices]) -> LearnOptions:
         """These options with other `choices`. Raises `UnknownNameError`."""
@@ -137,6 +139,7 @@ class GPOptions:
     """Passes over the data of "svgp"."""
 
     def __post_init__(self) -> None:
+        taken_fields(self)
         split_name(self.kernel)
         for kind, value, known in (
             ("GP method", self.method, METHODS),
@@ -156,7 +159,7 @@ class GPOptions:
     def of(cls, options: GPOptions | None, choices: GPChoices) -> GPOptions:
         """`options` (None: the defaults) with the `choices` in place of its own. Raises
         `UnknownNameError`."""
-        return chosen("option of a Gaussian process", options or cls(), choices)
+        return chosen("option of a Gaussian process", cls, options, choices)
 
     def but(self, **choices: Unpack[GPChoices]) -> GPOptions:
         """These options with other `choices`. Raises `UnknownNameError`."""

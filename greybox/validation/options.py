@@ -8,6 +8,7 @@ from typing import TypedDict
 
 from greybox.data.segment import START_SECONDS
 from greybox.estimation.options import chosen
+from greybox.takes import taken_fields
 from greybox.validation.advice import Hint
 
 
@@ -56,10 +57,11 @@ class ValidateOptions:
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
     def __post_init__(self) -> None:
+        taken_fields(self)
         object.__setattr__(self, "hints", tuple(self.hints))
 
     @classmethod
     def of(cls, options: ValidateOptions | None, choices: ValidateChoices) -> ValidateOptions:
         """`options` (None: the defaults) with the `choices` in place of its own. Raises
         `UnknownNameError`."""
-        return chosen("option of a validation", options or cls(), choices)
+        return chosen("option of a validation", cls, options, choices)

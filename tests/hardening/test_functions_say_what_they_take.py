@@ -28,6 +28,10 @@ DATA = gb.dataset_from_arrays(T, {"p": T, "u1": T}, name="a")
 OTHER = gb.dataset_from_arrays(T, {"p": T, "u1": T}, name="b")
 VEHICLE = gb.read_vehicle(vehicle_path("arpl_crazyflie"))
 MODEL = craft_model(craft())
+A_LOG = flight_path("arpl_crazyflie", "log15")
+LONG = gb.dataset_from_arrays(
+    0.01 * np.arange(5000), {n: np.random.default_rng(0).normal(size=5000) for n in ("p", "u1")}
+)
 ONE = np.eye(1)
 LINEAR = LinearModel(
     name="lag",
@@ -124,6 +128,56 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "learn on a linear model": (lambda: gb.learn(LINEAR, DATA), "fit_output_residual"),
     "a plan for a linear model": (lambda: gb.plan(model=LINEAR), f"model {A_MODEL}"),
     "a twin of a linear model": (lambda: gb.twin(LINEAR), f"model {A_MODEL}.*got LinearModel"),
+    "a predictor by number": (
+        lambda: gb.fit(VEHICLE, DATA, predictor=3),
+        "predictor takes a name, or a predictor; got 3",
+    ),
+    "no solver": (lambda: gb.fit(VEHICLE, DATA, solver=None), "solver takes a name.*NoneType"),
+    "one number held": (lambda: gb.fit(VEHICLE, DATA, fixed=3), f"fixed {LIST}; got 3"),
+    "held at a value": (lambda: gb.fit(VEHICLE, DATA, fixed={"mass": 0.03}), f"{LIST}; got dict"),
+    "nothing held": (lambda: gb.fit(VEHICLE, DATA, fixed=None), f"fixed {LIST}; got NoneType"),
+    "values as an array": (
+        lambda: gb.fit(VEHICLE, DATA, values=T),
+        "values takes names with numbers",
+    ),
+    "a value as text": (lambda: gb.fit(VEHICLE, DATA, values={"mass": "x"}), "names with numbers"),
+    "noise in an array": (
+        lambda: gb.fit(VEHICLE, DATA, estimate_noise=T),
+        'takes True, False or "process"',
+    ),
+    "half a start": (lambda: gb.fit(VEHICLE, DATA, starts=2.5), "starts takes a whole number"),
+    "options by hand": (
+        lambda: gb.fit(VEHICLE, DATA, {"seed": 1}),
+        "options takes FitOptions; got dict.*as keywords",
+    ),
+    "a model as options": (lambda: gb.discover(VEHICLE, DATA, None, MODEL), "DiscoverOptions"),
+    "a rate as text": (lambda: gb.read_logs(A_LOG, VEHICLE, rate="100"), "a positive number of Hz"),
+    "an input that there is not": (
+        lambda: gb.build_model(VEHICLE, ["p"], input="speeds"),
+        'input takes "command" or "speed"; got \'speeds\'',
+    ),
+    "own sensors by name": (
+        lambda: gb.load("a.json", sensors="sonar"),
+        "sensors takes a list of sensors of your own, as they are; got 'sonar'",
+    ),
+    "check of no path": (lambda: gb.check("", VEHICLE), "data takes flights"),
+    "export to nowhere": (lambda: gb.export(MODEL, None), "folder takes a path; got NoneType"),
+    "identify to a model": (
+        lambda: gb.identify("v.toml", ["a.csv"], out=MODEL),
+        "out takes a path; got IdentifiedModel",
+    ),
+    "a twin to a number": (lambda: gb.twin(MODEL, out=3), "out takes a path; got 3"),
+    "half a twin": (lambda: gb.twin(MODEL, draws=2.5), "draws takes a whole number; got 2.5"),
+    "a window as text": (
+        lambda: gb.frf(LONG, ["u1"], ["p"], window="2"),
+        "window '2'; expected a positive number of seconds",
+    ),
+    "a budget in halves": (
+        lambda: gb.compare(VEHICLE, DATA, OTHER, budget=2.5),
+        "budget takes a whole number; got 2.5",
+    ),
+    "a plan of one limit": (lambda: gb.plan(VEHICLE, limits=3.0), "limits takes Limits; got 3.0"),
+    "one target": (lambda: gb.export(MODEL, "out", targets="c"), r"targets=\['c'\]"),
     "a twin of a vehicle": (lambda: gb.twin(VEHICLE), f"model {A_MODEL}"),
 }
 

@@ -11,6 +11,7 @@ import pytest
 
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.fit import fit
+from greybox.model.effects import effect_by_name
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import template_text
 from greybox.planning import plan
@@ -241,6 +242,13 @@ def test_bad_wishes_are_one_line(options, error, words):
     with pytest.raises(error) as caught:
         plan(vehicle(), **({"effects": ["rotor_drag"], "limits": LIMITS} | options))
     assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_effect_of_ones_own_is_planned_for_as_it_is():
+    """`--for magnet --effects-file own.py` hands it on so."""
+    own = effect_by_name("rotor_drag")
+    with pytest.raises(GreyboxError, match="too short a flight"):
+        plan(vehicle(), effects=[own], seconds=1.0)
 
 
 def test_limits_without_room_are_refused():
