@@ -163,6 +163,8 @@ def check_writable(path: str | os.PathLike[str], *, folder: bool = False) -> Non
     be, or the reverse).
     """
     place = Path(path)
+    if not os.fspath(path):  # that of a variable of the shell that is not set, and no "."
+        raise OutputError("no name of a file or folder", got="''", fix="choose another --out")
     try:
         if folder and place.exists() and not place.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))

@@ -74,6 +74,23 @@ def add(subparsers: Subcommands) -> None:
     p.set_defaults(run=run)
 
 
+def _sorted(arguments: argparse.Namespace) -> tuple[str | None, list[str]]:
+    """(vehicle file, None where none was named; logs to fit). No log is TOML, so that the vehicle
+    file may stand behind them. Raises `GreyboxError` for two of them."""
+    from greybox.errors import GreyboxError
+
+    files = [path for path in arguments.inputs if Path(path).suffix == ".toml"]
+    logs = [path for path in arguments.inputs if path not in files] + arguments.train
+    named = ([] if arguments.vehicle is None else [arguments.vehicle]) + files
+    if len(named) > 1:
+        raise GreyboxError(
+            "identify takes one vehicle file",
+            got=", ".join(named),
+            fix="one chain for each, with an --out of its own",
+        )
+    return (named[0] if named else None), logs
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and print its first line. Returns 0, or 1 where the model is not usable."""
     from greybox.commands.chain.guess import guessed_vehicle
@@ -87,9 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(text, file=sys.stderr, flush=True)
 
     out = Path(arguments.out)
-    vehicle, logs = arguments.vehicle, [*arguments.inputs, *arguments.train]
-    if vehicle is None and logs and Path(logs[0]).suffix == ".toml":
-        vehicle = logs.pop(0)
+    vehicle, logs = _sorted(arguments)
     if not logs:
         raise GreyboxError(
             "no flights to fit", fix="greybox identify --vehicle V.toml --train A.csv B.csv"

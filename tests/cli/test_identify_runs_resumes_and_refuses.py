@@ -266,6 +266,8 @@ BAD = {
     "a rate of nothing": ["v.toml", "a.csv", "--rate", "0"],
     "a log that does not know its craft": ["a.csv"],
     "a vehicle file alone": ["v.toml"],
+    "two vehicle files": ["v.toml", "a.csv", "v.toml"],
+    "a vehicle file twice": ["v.toml", "a.csv", "--vehicle", "v.toml"],
     "nothing": [],
 }
 
@@ -279,6 +281,25 @@ def test_bad_input_is_one_line(words, flights, tmp_path, monkeypatch, capsys):
     assert said.err.startswith("greybox identify: ")
     assert said.err.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_the_vehicle_file_may_stand_behind_the_logs(flights, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(flights)
+    assert main(["identify", "a.csv", "no.toml", "--out", str(tmp_path / "out")]) == 2
+    assert "no.toml: no such vehicle file" in capsys.readouterr().err
+
+
+def test_an_out_of_no_name_is_not_the_working_folder(flights, tmp_path, monkeypatch, capsys):
+    """`--out "$OUT"` of a variable that is not set."""
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    v, a = str(flights / "v.toml"), str(flights / "a.csv")
+    for words in (["identify", v, a], ["fit", "--vehicle", v, "--train", a]):
+        assert main([*words, "--out", ""]) == 2
+        said = capsys.readouterr().err
+        assert "no name of a file or folder" in said and said.count("\n") == 1
+    assert not list(here.iterdir())
 
 
 def test_files_can_be_said_as_to_the_other_commands(copy, flights, capsys):
