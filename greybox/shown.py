@@ -46,6 +46,10 @@ class Shown:
         """The table, a mapping of column to cell per row; empty where there is none."""
         return ()
 
+    def summary(self) -> str:
+        """The whole text, of which a prompt shows the first lines."""
+        return self._shown_text()
+
     def __repr__(self) -> str:
         return shortened(self._shown_text())
 

@@ -198,6 +198,12 @@ def test_twelve_lines_html_and_a_table(name: str) -> None:
     assert len(columns_of(it._shown_rows())) > 1
 
 
+@pytest.mark.parametrize("name", SHOWN)
+def test_every_object_has_a_summary_as_fits_and_checks_have(name: str) -> None:
+    told = shown(name).summary()
+    assert isinstance(told, str) and told.strip()
+
+
 def test_the_first_line_of_a_fit_is_its_verdict() -> None:
     assert repr(fitted()).startswith("NOT JUDGED")
     judged = fitted().judged(gb.validate(fitted().model, flight()).verdict)
