@@ -15,17 +15,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.automatic.borrow import decide_for
+from greybox.automatic.decide import Decided
 from greybox.automatic.fit import Prepared, continued, fit_recipe, prepare, without_effects
-from greybox.automatic.front_door import fit_prepared
+from greybox.automatic.front_door import fit_as_decided
 from greybox.automatic.setting import Given
 from greybox.automatic.trials import QUICK, Say
 from greybox.data import Dataset
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import fit
+from greybox.estimation.laplace import at_bound
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
+from greybox.model.vehicle import Vehicle
+from greybox.statistics.regret import information_on
 from greybox.validation.judges import Judges
 from greybox.validation.worth import Span, Worth, clearly, seconds, worth
 
@@ -49,48 +54,60 @@ def held_ahead(
     data: Dataset,
     judges: Judges,
     span: Span,
+    most: int,
     *,
     fixed: Sequence[str] = (),
     per_flight: Sequence[str] = (),
     say: Say = lambda text: None,
 ) -> HeldAhead | None:
     """The effects of `model` fitted to `data` by errors ahead, without those of the `asked` that
-    these do not need, and what the others are worth `span` [s] ahead on flights that judge.
+    these do not need, `most` at most, and what the others are worth `span` [s] ahead on flights
+    that judge.
 
     What is `fixed` and `per_flight` (none: decided) holds for all fits. None where nothing can be
     fitted. Raises `DataError`, `ModelError`.
     """
     choices = FitChoices(fixed=fixed) if fixed else FitChoices()
     choices |= FitChoices(per_flight=per_flight) if per_flight else FitChoices()
-    race = _Race(
-        model=model,
-        prepared=prepare(
-            model.vehicle,
-            data,
-            keep_impossible=True,
-            all_flights=True,
-            decide_rate=False,
-            keep_noise_free=True,
-        ),
-        judges=judges,
-        span=span,
+    prepared = prepare(
+        model.vehicle,
+        data,
+        keep_impossible=True,
+        all_flights=True,
+        decide_rate=False,
+        keep_noise_free=True,
+    )
+    given = Given(
+        effects=tuple(e for e in model.effects if e.name not in model.vehicle.effects),
+        input=model.input,
+        kinematic_noise=model.kinematic_noise,
+        adapt=judges.adapt,
         choices=choices,
-        price=float(np.log(len(asked))),
     )
     with contextlib.suppress(FitError):
-        return _raced(race, list(asked), say)
+        vehicle, decided = decide_for(model.vehicle, prepared, given)
+        race = _Race(
+            vehicle=vehicle,
+            prepared=prepared,
+            decided=decided,
+            judges=judges,
+            span=span,
+            price=float(np.log(len(asked))),
+        )
+        return _raced(race, list(asked), most, say)
     return None
 
 
-def _raced(race: _Race, asked: list[str], say: Say) -> HeldAhead:
-    """What stays of the `asked`. Raises `FitError`."""
+def _raced(race: _Race, asked: list[str], most: int, say: Say) -> HeldAhead:
+    """What stays of the `asked`, `most` at most. Raises `FitError`."""
     say("the effects fitted by errors ahead")
-    whole, left, told = race.fitted(()), asked, dict[str, Worth | None]()
-    held, wanted = whole, left
+    held = whole = race.fitted(())
+    left, told = asked, dict[str, Worth | None]()
     while bound := [n for n in left if _at_bound(held, n)]:
         held = race.without(held, bound, say).fit or held
-        left = wanted = [n for n in left if n not in bound]
+        left = [n for n in left if n not in bound]
         told |= dict.fromkeys(bound)
+    wanted = [n for n in left if race.doubted(held, n)]
     while wanted:
         rows = {n: race.without(held, [n], say) for n in wanted}
         told |= {n: row.worth for n, row in rows.items()}
@@ -101,12 +118,16 @@ def _raced(race: _Race, asked: list[str], say: Say) -> HeldAhead:
         if less is not None:
             held = less.fit or held
         left, wanted = ([n for n in some if n not in going] for some in (left, wanted))
-    if len(left) < len(asked):
-        gone = [n for n in asked if n not in left]
-        say(f"the effects fitted by errors ahead, without {', '.join(gone)}")
-        whole = race.fitted(gone)
-        told |= {n: race.without(whole, [n], say).worth for n in left}
-    return HeldAhead(fit=whole, worth=told)
+    while True:
+        if gone := [n for n in asked if n not in left]:
+            say(f"the effects fitted by errors ahead, without {', '.join(gone)}")
+            whole = race.fitted(gone)
+        rows = {n: race.without(whole, [n], say) for n in left}
+        told |= {n: row.worth for n, row in rows.items()}
+        least = min(left, key=lambda n: rows[n].gain, default=None)
+        if least is None or not (rows[least].idle or len(left) > most):
+            return HeldAhead(fit=whole, worth=told)
+        left = [n for n in left if n != least]
 
 
 def _at_bound(held: Fit, name: str) -> bool:
@@ -166,27 +187,35 @@ class _Without:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Race:
-    """The flights, and what holds for every fit."""
+    """The craft, its flights, and how all effects together are fitted as `decided`; a number costs
+    the `price`."""
 
-    model: PhysicsModel
+    vehicle: Vehicle
     prepared: Prepared
+    decided: Decided
     judges: Judges
     span: Span
-    choices: FitChoices
     price: float
 
     def fitted(self, gone: Sequence[str]) -> Fit:
         """The automatic fit with all effects but those that are `gone`."""
-        vehicle = self.model.vehicle
-        stated = {*vehicle.effects, *gone}
-        given = Given(
-            effects=tuple(e for e in self.model.effects if e.name not in stated),
-            input=self.model.input,
-            kinematic_noise=self.model.kinematic_noise,
-            adapt=self.judges.adapt,
-            choices=self.choices,
-        )
-        return fit_prepared(vehicle, self.prepared, given)
+        recipe = without_effects(self.decided.recipe, gone)
+        return fit_as_decided(self.vehicle, self.prepared, replace(self.decided, recipe=recipe))
+
+    def doubted(self, held: Fit, name: str) -> bool:
+        """Whether a fit may do without an effect: what its cost would lose, to second order, is
+        below three times the price of its numbers."""
+        null = {d.name: d.null for d in held.model.dynamics.parameters}
+        unknowns, value = held.problem.unknowns, held.problem.evaluate(held.theta)
+        own = [i for i, u in enumerate(unknowns) if u.name in held.of_effect(name)]
+        zero = [null[unknowns[i].name] for i in own]
+        stuck = at_bound(held.problem, held.theta, value)
+        if value.hessian is None or not own or None in zero or stuck[own].any():
+            return True
+        rest = [i for i in np.flatnonzero(~stuck).tolist() if i not in own]
+        off = held.theta[own] - np.array(zero, dtype=float)
+        loss = 0.5 * float(off @ information_on(value.hessian, own, rest) @ off)
+        return loss < 3 * len(held.of_effect(name)) * self.price
 
     def without(self, held: Fit, names: Sequence[str], say: Say) -> _Without:
         """What effects `names` are worth to the fit, by one that goes on without them."""
@@ -196,7 +225,7 @@ class _Race:
         going_on = replace(recipe, options=continued(recipe.options, held))
         try:
             less = without_effects(going_on, names)
-            bare = fit_recipe(self.model.vehicle, self.prepared.data, less)
+            bare = fit_recipe(self.vehicle, self.prepared.data, less)
         except GreyboxError:
             return _Without()
         bare = bare.with_history(less, ())

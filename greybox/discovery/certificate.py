@@ -153,8 +153,7 @@ def certificates(
 
 
 def _more_told(at: Fitted, name: str, judges: Sequence[Split]) -> float:
-    """What the flights that judge add to what was told of a name, as a share of it; infinite where
-    numbers are a flight's own."""
+    """Share that flights that judge add to what was told of a name; infinite for a flight's own."""
     rows = []
     for split in judges:
         first, both = (on.fit(at.structure, within=np.inf) for on in (split.first, split.both))

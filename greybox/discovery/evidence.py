@@ -42,8 +42,7 @@ ARRIVED = (Code.CONVERGED, Code.NO_PROGRESS)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """Where the search of one task ended: what is sought, the unknowns `theta` (n,), how the solver
-    ended, and the value there."""
+    """Where one task ended: its unknowns, where they are (`theta`, n), status and value there."""
 
     space: SearchSpace
     theta: FloatArray

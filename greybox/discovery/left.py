@@ -40,8 +40,7 @@ class Left:
     law_file: Callable[[Law, int, Collection[str]], str] = proposal_text
 
     def lawful(self, settled: Fit) -> IdentifiedModel:
-        """The model of `written`, whose whole result is `settled`; a vehicle's reads its laws from
-        the files beside it."""
+        """The model of `written`, once `settled`; a vehicle's reads laws from files beside it."""
         if physics_of(settled.model.dynamics) is None:
             return settled.model
         return with_laws(settled.model, proposed(self.laws, self.taken))
@@ -63,8 +62,7 @@ class Left:
 
 
 def axis_gains(at: Fitted, bar: float) -> dict[str, tuple[float, bool]]:
-    """Axis -> (log likelihood lost when its state is taken away, whether that is clear and worth
-    anything)."""
+    """Axis -> (log likelihood lost without its state, whether that is clear and worth anything)."""
     least = -0.5 * np.log1p(-RULES.trace) * sum(r.n for r in at.problem.records)
     return {axis: (lost, lost > max(bar, least)) for axis, lost in lost_without(at).items()}
 

@@ -68,10 +68,7 @@ class DiscoverOptions:
 
     @classmethod
     def of(cls, options: DiscoverOptions | None, choices: DiscoverChoices) -> DiscoverOptions:
-        """`options` (None: the defaults) with the `choices` in place of its own.
-
-        Raises `UnknownNameError`.
-        """
+        """`options` (None: the defaults) with `choices` as its own. Raises `UnknownNameError`."""
         return chosen("option of a search", cls, options, choices)
 
     def but(self, **choices: Unpack[DiscoverChoices]) -> DiscoverOptions:

@@ -135,8 +135,7 @@ class Discovery(Shown):
         return {n: {"value": value, "std": s, "unit": unit} for n, value, s, unit in rows}
 
     def _apart(self, parameter: str, value: float) -> float:
-        """How far its value is spread over the causes that the flights cannot tell apart: one
-        standard deviation."""
+        """Standard deviation of its value over causes that the flights cannot tell apart."""
         asked = [(n.shares[s], there) for n in self.names for s, there in n.elsewhere.items()]
         terms = [w * (there.get(parameter, value) - value) ** 2 for w, there in asked]
         return float(np.sqrt(sum(terms)))
@@ -224,9 +223,8 @@ class Discovery(Shown):
         }
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write what `greybox discover` writes into a folder, but its report: discovery.json,
-        model.json, and of laws proposal_N.py and model_with_laws.json; returns the folder. Raises
-        `OutputError`."""
+        """Write discovery.json, model.json, and of laws proposal_N.py and model_with_laws.json, as
+        `greybox discover` does; returns the folder. Raises `OutputError`."""
         return write_found(self, folder, self.to_dict())
 
     @property

@@ -34,8 +34,7 @@ Move = tuple[Structure, list[Mapping[Key, float]]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rival:
-    """A structure that does without a cause: `instead` are the causes in its place (none: it is
-    dropped)."""
+    """A structure without a cause: `instead` are those in its place (none: it is dropped)."""
 
     instead: tuple[str, ...]
     fitted: Fitted
@@ -43,16 +42,19 @@ class Rival:
 
 @dataclass(kw_only=True, eq=False)
 class Search:
-    """The search on `flights`. `interim` gets what is taken; what is `hopeless` swaps nothing."""
+    """The search on `flights`. `interim` gets what is taken; no swap is sought of a structure that
+    is `hopeless` once those of so many of its causes gained nothing."""
 
     flights: Flights
     most: int
     say: Callable[[str, float], None]
     interim: Callable[[Fitted], None] = lambda _fit: None
-    hopeless: Callable[[Fitted], bool] = lambda _fit: False
+    hopeless: Callable[[Fitted, int], bool] = lambda _fit, _asked: False
     steps: list[StepRow] = field(default_factory=list)
     scores: Scores | None = None
     tried: set[tuple[Structure, Structure]] = field(default_factory=set)
+    taken: set[str] = field(default_factory=set)
+    """Effects beyond those of the base that any structure on the way had."""
     lost: dict[tuple[Structure, Structure], bool] = field(default_factory=dict)
     """Whether what was (added, dropped) lost when last asked: that waits until nothing gains."""
 
@@ -81,14 +83,14 @@ class Search:
         seen: set[Structure] = set()
         while at.structure not in seen:
             seen.add(at.structure)
+            self.taken.update(self.added(at))
             there = ", ".join(self.named(at.structure)) or "nothing added"
             self.say(f"step {len(seen)}: {there}", min(0.05 * len(seen), 0.3))
             better = self._add(at)
             if better is not None:
                 better = self._leaner(better) or better
             else:
-                better = self._leaner(at, last=True)
-                better = better or (None if self.hopeless(at) else self._swap(at))
+                better = self._leaner(at, last=True) or self._swap(at)
             if better is None:
                 return at
             at = better
@@ -221,7 +223,7 @@ class Search:
         taken = {n: max((r[0] for r in self._scored(at).instead(n)), default=0.0) for n in cost}
         order = sorted(cost, key=lambda n: min(cost[n], (1.0 - taken[n]) * max(cost[n], 0.0)))
         asked, better = 0, None
-        while better is None and asked < len(order):
+        while better is None and asked < len(order) and not self.hopeless(at, asked):
             rivals = self._rivals(at, order[asked : 2 * asked + 1], asked / len(order))
             fits = [r.fitted for rows in rivals.values() for r in rows]
             better = self._best(at, [f for f in fits if len(self.added(f)) <= self.most])

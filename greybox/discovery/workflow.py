@@ -221,8 +221,7 @@ class _Run:
 
     @property
     def bar(self) -> float:
-        """Log e-value of a name that is alone: one over alpha, times the causes that were offered
-        (Bonferroni)."""
+        """Log e-value of a name that is alone: causes on offer over alpha (Bonferroni)."""
         offered = len(self.flights.causes.effects)
         return float(np.log(max(offered, 1) / self.options.alpha))
 
@@ -235,7 +234,7 @@ class _Run:
             most=self.options.max_effects,
             say=self.say,
             interim=lambda at: self._keep(search, at, None),
-            hopeless=lambda at: bool(self.then and self.then.beats(self.held_out(at), RULES.span)),
+            hopeless=self._hopeless,
         )
         null = self.flights.fit(causes.base)
         names, at, left = self._answer(search, null)
@@ -284,6 +283,9 @@ class _Run:
             return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
         if said_ahead := self._by_errors_ahead(search, null, last):
             return said_ahead
+        if search.added(last) and self.bent(last):  # laws mend that: every swap is worth its time
+            search.hopeless = lambda _at, _asked: False
+            last = search.run(last)
         more: Fitted | None = last
         while more is not None:
             at, said, offered = more, self.warnings.copy(), self.flights.causes
@@ -316,8 +318,7 @@ class _Run:
         return self._by_errors_ahead(search, null, named, names, left) or (names, named, left)
 
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
-        """Save what is known, and what is not: the search stands `at` a structure; `names` are what
-        was said of its causes."""
+        """Save what is known where the search stands; `names` are what was said of causes there."""
         found = self._so_far(self.settled(at).judged(STOPPED))
         said = so_far(search.added(at), names)
         self.save(replace(found, so_far=said, steps=tuple(search.steps)))
@@ -347,9 +348,16 @@ class _Run:
             return self.judges.errors(self.settled(at).model)
         return None
 
+    def _hopeless(self, at: Fitted, asked: int) -> bool:
+        """Whether a structure needs no further swap: the model of then foretells better, or the
+        likelihood is no judge of names, and its likeliest swap was asked."""
+        then = self.then
+        return then.beats(self.held_out(at), RULES.span) if then else asked > 0 and self.bent(at)
+
     def bent(self, at: Fitted, lawful: Fitted | None = None) -> bool:
         """Whether the likelihood is no judge of names of a vehicle, see `is_bent`, asked once."""
-        if self.options.since is None and (at, lawful) not in self._bent:
+        own = self.options.since is None and physics_of(self.settled(at).model.dynamics)
+        if own and (at, lawful) not in self._bent:
             laws = self.settled(lawful).model if lawful else None
             asked = self.settled(at), self.flights.data, self.judges, RULES.span, RULES.law, laws
             self._bent[at, lawful] = is_bent(*asked)
@@ -363,12 +371,12 @@ class _Run:
         names: Sequence[Name] = (),
         left: Left | None = None,
     ) -> tuple[list[Name], Fitted, Left] | None:
-        """Where a structure is bent, and laws that are `left` do not mend that, what is said of it:
+        """Where a structure is bent, and laws that are `left` do not mend that, what is said of all
+        that was in one on the way to it, as the likelihood does not judge what it dropped, either:
         by what it is worth to a model that is fitted by errors ahead, which takes its place. Other
         `names` stay as they are. None where it is not bent, or nothing can be fitted."""
-        asked, done = search.added(at), itertools.count()
-        physics = physics_of(self.settled(at).model.dynamics)
-        if physics is None or not asked or not self.bent(at):
+        asked, done = search.named(search.taken), itertools.count()
+        if not search.added(at) or not self.bent(at):
             return None
         if left is None:
             offered, left = self.flights.causes, self._left(null, at)
@@ -380,8 +388,10 @@ class _Run:
         def say(text: str) -> None:
             self.say(text, 0.6 + 0.3 * min(next(done) / len(asked), 3) / 3)
 
+        physics = physics_of(self.flights.causes.built(at.structure | search.taken))
         fits = functools.partial(held_ahead, fixed=o.fixed, per_flight=o.per_flight, say=say)
-        race = fits(physics, asked, self.flights.data, self.judges, RULES.span)
+        given = asked, self.flights.data, self.judges, RULES.span, o.max_effects
+        race = None if physics is None else fits(physics, *given)
         if race is None:
             return None
         self._settled[at], self.ahead, self.needed = race.fit, True, self.bar
@@ -479,7 +489,7 @@ class _Run:
         if self.test is None:
             self.warnings += [
                 "without --test flights causes were chosen on those that judge them, by halves, and "
-                "the gap: e-values are then too large by what choosing gains",
+                "the gap: e-values are then too large by what choosing gains"
             ]
         before = self.then.errors if self.then else self.held_out(null)
         lawful, learned = self.held_out(written) if written else None, None

@@ -37,8 +37,13 @@ def model(train, *effects: str) -> PhysicsModel:
 
 
 @pytest.fixture(scope="module")
-def race(train, judges) -> HeldAhead:
-    return held_ahead(model(train, *ASKED), ASKED, train, judges, SPAN)
+def said() -> list[str]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def race(train, judges, said) -> HeldAhead:
+    return held_ahead(model(train, *ASKED), ASKED, train, judges, SPAN, len(ASKED), say=said.append)
 
 
 def test_what_flights_need_stays_and_what_they_do_without_goes(race):
@@ -55,6 +60,21 @@ def test_it_says_what_they_are_worth_to_flights_that_judge(race):
     assert damping.matters and not damping.harms
     assert damping.group == "rate"
     assert damping.log_e > np.log(len(ASKED) / 0.05)
+
+
+def test_nobody_asks_for_a_fit_without_what_flights_clearly_need_before_the_others_are_gone(
+    race, said
+):
+    assert [t for t in said if "motor_lag" in t] == ["errors ahead without motor_lag"]
+    last = said.index("the effects fitted by errors ahead, without gyro_scale, products_of_inertia")
+    assert said.index("errors ahead without motor_lag") > last
+
+
+@pytest.mark.slow
+def test_no_more_stay_than_may(train, judges):
+    one = held_ahead(model(train, *ASKED), ASKED, train, judges, SPAN, 1)
+    assert one is not None
+    assert [n for n in ASKED if one.held(n)] == ["motor_lag"]
 
 
 @pytest.mark.parametrize(

@@ -189,7 +189,7 @@ def test_what_is_no_change_is_said_first_and_costs_no_swap_and_no_certificate(
     monkeypatch.setattr(Then, "unchanged", lambda _then, _new, added, _span: f"AS THEN: {added}")
     monkeypatch.setattr(greybox.discovery.workflow, "certificates", None)
     monkeypatch.setattr(Then, "beats", lambda *_: True)
-    monkeypatch.setattr(Search, "_swap", None)
+    monkeypatch.setattr(Search, "_rivals", None)
     train, test = small_world.flown(DAMPING), small_world.flown(DAMPING, seeds=(11,), name="test")
     found = discover(vehicle(), train, test, since=then)
     assert valid(found)["line"] == found.line == "AS THEN: ['rotational_damping']"

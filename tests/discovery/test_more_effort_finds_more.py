@@ -164,12 +164,18 @@ def test_a_swap_is_taken_before_every_name_was_asked():
     columns["a"] = 0.8 * columns["b"] + 0.3 * rng.standard_normal((SAMPLES, 1))
     y = rng.standard_normal(SAMPLES) + 3.0 * sum(columns[n][:, 0] for n in ("b", "c", "f"))
     one = World(columns=columns, shared=rng.standard_normal((SAMPLES, 2)), y=y)
-    search = Search(flights=one, most=8, say=lambda _text, _share: None)  # type: ignore[arg-type]
+    quiet: Any = {"flights": one, "most": 8, "say": lambda _text, _share: None}
+    search = Search(**quiet)
     better = search._swap(one.fit({"a", "c", "f"}))
     assert better is not None and better.structure == {"b", "c", "f"}
     assert all({"c", "f"} <= s for s in one.kept)
+    hopeless = Search(**quiet, hopeless=lambda _at, asked: asked > 0)
+    assert hopeless._swap(better) is None
+    assert all({"c", "f"} <= s for s in one.kept)
     assert search._swap(better) is None, "from where nothing gains all are asked"
     assert all(frozenset(s) in one.kept for s in ("bc", "bf", "cf"))
+    assert search.run(one.fit({"a", "c", "f"})).structure == better.structure
+    assert search.taken == {"a", "b", "c", "f"}, "with what was dropped on the way"
 
 
 @pytest.mark.parametrize(

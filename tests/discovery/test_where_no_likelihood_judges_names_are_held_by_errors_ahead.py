@@ -69,15 +69,23 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     by_likelihood = [by_errors_ahead(n, GOOD, n == "lag", BAR) for n in ("lag", "drag")]
 
     def answer(*bent: Any, lawful: bool = False, mended: bool = False) -> Any:
+        searched = []
+
+        def searches(at: Any) -> Any:
+            searched.append(getattr(search, "hopeless", run._hopeless)(at, 1))
+            return at
+
         run: Any = SimpleNamespace(
             then=None,
             warnings=[],
             bar=BAR,
             ahead=False,
             judges=None,
-            options=SimpleNamespace(fixed=(), per_flight=()),
+            options=SimpleNamespace(fixed=(), per_flight=(), max_effects=2),
             bent=lambda at, laws=None: at in bent and not (laws and mended),
-            flights=SimpleNamespace(causes=None, data=None, arrived=lambda at: at),
+            flights=SimpleNamespace(
+                causes=SimpleNamespace(built=frozenset), data=None, arrived=lambda at: at
+            ),
             say=lambda *_: None,
             settled=lambda _: SimpleNamespace(model=SimpleNamespace(dynamics=None)),
             _settled={},
@@ -87,8 +95,11 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             _beside_laws=lambda names, at, _laws: (names, at),
         )
         run._by_errors_ahead = functools.partial(_Run._by_errors_ahead, run)
+        run._hopeless = functools.partial(_Run._hopeless, run)
         search: Any = SimpleNamespace(
-            run=lambda at: at,
+            run=searches,
+            taken={"lag", "drag"},
+            named=lambda names: sorted(names, reverse=True),
             added=lambda at: sorted(at.structure, reverse=True),
             contest=lambda _: {},
             every=lambda _: None,
@@ -96,6 +107,7 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
         )
         names, at, left = _Run._answer(run, search, LAST)
         assert run.ahead == bool(run._settled)
+        assert searched == ([True, False] if LAST in bent and mended else [LAST in bent])
         return {n.name: n.status for n in names}, at, left.written, run.ahead
 
     return answer
