@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from itertools import chain
 
-from greybox.data.checks import CheckReport
+from greybox.data.checks import CheckReport, Finding
 from greybox.errors import DataError
 from greybox.estimation.fit import Fit
 from greybox.model.absence import not_offered
@@ -70,10 +70,12 @@ class Symptom(enum.Enum):
 @dataclass(frozen=True, kw_only=True)
 class Hint:
     """One thing seen: `detail` says it in words (with names and numbers), "" where the table's
-    words do."""
+    words do. What was seen of one `flight` ("": of all) is no reason where the model is useful on
+    that alone."""
 
     symptom: Symptom
     detail: str = ""
+    flight: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,7 +253,7 @@ def hints_of_checks(
     """What the checks of the logs say about a model with these effects."""
     # Flights are cut at gaps: what is missing costs data and spoils no fit.
     faults = [f for f in report.blocking if f.check != "gaps"]
-    out = [Hint(symptom=Symptom.LOG_FAULT, detail=f"{f.flight}: {f.message}") for f in faults]
+    out = [_of_flight(Symptom.LOG_FAULT, f) for f in faults]
     lags = [
         float(f.evidence[k])
         for f in report.of("alignment")
@@ -277,10 +279,14 @@ def hints_of_checks(
         )
     # Commands alone: a sensor that clips has no share.
     limited = [f for f in report.of("saturation") if "share" in f.evidence]
-    if limited and "command_saturation" not in effects:
-        worst = max(limited, key=lambda f: f.evidence["share"])
-        out.append(Hint(symptom=Symptom.SATURATED, detail=f"{worst.flight}: {worst.message}"))
+    if "command_saturation" not in effects:
+        limited.sort(key=lambda f: f.evidence["share"], reverse=True)
+        out += [_of_flight(Symptom.SATURATED, f) for f in limited]
     return tuple(out)
+
+
+def _of_flight(symptom: Symptom, found: Finding) -> Hint:
+    return Hint(symptom=symptom, detail=f"{found.flight}: {found.message}", flight=found.flight)
 
 
 def hints_of_fit(fit: Fit) -> tuple[Hint, ...]:

@@ -57,13 +57,15 @@ def denied(parts: Sequence[Part], useful: float) -> bool:
     return any(denies(p, useful) for p in parts)
 
 
+def useful_on(parts: Iterable[Part]) -> list[Part]:
+    """The flights on which a model is useful alone."""
+    return [p for p in _of(parts, "flight") if p.outcome is Outcome.USABLE]
+
+
 def useful_alone(parts: Sequence[Part]) -> list[str]:
     """The flights on which a model is useful that is not usable on all together, in words; nothing
     where there are none."""
-    good = sorted(
-        (p for p in _of(parts, "flight") if p.outcome is Outcome.USABLE),
-        key=lambda p: -p.useful_seconds,
-    )
+    good = sorted(useful_on(parts), key=lambda p: -p.useful_seconds)
     named = _named([f"{p.name} for {_seconds(p)}" for p in good])
     return [f"alone it is useful on {named}"] if good else []
 

@@ -31,7 +31,7 @@ from greybox.validation.comparison import (
 )
 from greybox.validation.finding import conclude, not_usable_on_most, partly_judged, skill_of
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
-from greybox.validation.parts import denies, useful_alone
+from greybox.validation.parts import denies, useful_alone, useful_on
 
 TEST_FLIGHTS = "flights that it was not fitted to"
 FITTED_FLIGHTS = "the flights that were fitted"
@@ -71,11 +71,13 @@ def judge(
     parts += [_part(c.name, "axis", weigh([c], grid), grid) for c in axes]
     useful = weighed.useful(grid)
     kept = [c for c, p in zip(axes, parts[len(flights) :], strict=True) if _kept(p, useful)]
-    found = conclude(weighed, grid, list(hints), parts, kept)
+    good = {p.name for p in useful_on(parts)}
+    hints = [h for h in hints if h.flight not in good]
+    found = conclude(weighed, grid, hints, parts, kept)
     if found.outcome is Outcome.NOT_USABLE:
         found = replace(found, why=(*found.why, *useful_alone(parts)))
     elif most := _most(flights, parts):
-        found = not_usable_on_most(most, parts, list(hints))
+        found = not_usable_on_most(most, parts, hints)
         useful = most[0][1].useful(most[0][2])
     found = partly_judged(found, [*lost, *model.unjudged])
     on = f" [{IN_SHORT.get(judged_on, f'judged on {judged_on}')}]"

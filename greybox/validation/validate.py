@@ -547,11 +547,13 @@ class _Work:
         own_values = [n for n in self.model.flight_spread if "_bias." not in n]
         long = max((f.duration for f in self.dataset), default=0.0) > SECONDS
         unknown = not self.adapted_seconds and own_values and long
-        differs = [d for a in self.adaptation.values() if (d := a.beyond(self.model))]
+        differs = {n: d for n, a in self.adaptation.items() if (d := a.beyond(self.model))}
         # What was seen comes before what may be.
-        if unknown and self.judged_on == TEST_FLIGHTS and not hints:
-            differs.append("its own values were not adapted")
-        hints += [Hint(symptom=Symptom.FLIGHT_DIFFERS, detail=d) for d in differs[:1]]
+        if unknown and self.judged_on == TEST_FLIGHTS and not (hints or differs):
+            differs[""] = "its own values were not adapted"
+        hints += [
+            Hint(symptom=Symptom.FLIGHT_DIFFERS, detail=d, flight=n) for n, d in differs.items()
+        ]
         if turned := turning_states(self.model, self.dataset.segments):
             hints.append(
                 Hint(

@@ -85,6 +85,7 @@ def test_of_commands_at_their_limits_the_worst_is_named() -> None:
     seen = report(limited("u_min", 0.02), limited("u_max", 0.2, "b"))
     reason, _, anchor = likely(hints_of_checks(seen, effects=()), Symptom.RATE)
     assert anchor == Symptom.SATURATED.anchor and "b: a command is at u_max for 20.0 %" in reason
+    assert [h.flight for h in hints_of_checks(seen, effects=())] == ["b", "a"]
 
 
 def test_a_sensor_that_clips_and_a_limit_that_the_model_has_are_no_lack_of_headroom() -> None:

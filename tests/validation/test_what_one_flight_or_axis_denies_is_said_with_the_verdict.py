@@ -11,6 +11,7 @@ import pytest
 
 from greybox.files import dump_json
 from greybox.model.verdict import Outcome, Verdict
+from greybox.validation.advice import Hint, Symptom
 from greybox.validation.finding import in_words
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import HorizonAccumulator
@@ -65,6 +66,7 @@ def verdict_of(
     *,
     blocks: int = 10,
     judged_on: str = TEST_FLIGHTS,
+    hints: tuple[Hint, ...] = (),
 ) -> Verdict:
     """Of a model whose errors are 0.4 times those of the last value, or the `shares` by flight and
     group."""
@@ -76,7 +78,8 @@ def verdict_of(
         }
         for f, groups in last.items()
     }
-    return judge(table(own, "model"), table(last, "persistence"), judged_on=judged_on)
+    tables = table(own, "model"), table(last, "persistence")
+    return judge(*tables, judged_on=judged_on, hints=hints)
 
 
 def until(seconds: float, after: float = 1.5) -> np.ndarray:
@@ -137,6 +140,20 @@ def test_a_model_that_is_not_usable_says_where_it_would_be() -> None:
     found = verdict_of(FAST_AND_SLOW, {"star_fast": {"rate": until(0.06)}})
     assert found.outcome is Outcome.NOT_USABLE
     assert found.why[-1] == "alone it is useful on star_slow for 1 s"
+
+
+@pytest.mark.parametrize("others", [{}, {"fast1": {"rate": until(0.06)}}])
+def test_what_was_seen_of_a_flight_on_which_it_is_useful_is_no_reason(others) -> None:
+    """Of one flight that spoils the whole, and of two of three alone."""
+    sizes = FAST_AND_SLOW | ({"fast1": 0.15} if others else {})
+    bad: dict[str, Shares] = {"star_fast": {"rate": until(0.06)}, **others}
+
+    def reason(flight: str) -> str:
+        seen = Hint(symptom=Symptom.SATURATED, detail=flight, flight=flight)
+        return verdict_of(sizes, bad, hints=(seen,)).anchor
+
+    assert reason("star_fast") == reason("") == reason("trained") == Symptom.SATURATED.anchor
+    assert reason("star_slow") == verdict_of(sizes, bad).anchor != Symptom.SATURATED.anchor
 
 
 def test_a_flight_that_hardly_moves_denies_nothing_and_is_named_as_not_judged() -> None:
