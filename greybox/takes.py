@@ -272,11 +272,17 @@ SHARE = Kind(words="a number between 0 and 1", fits=lambda v: is_number(v) and 0
 
 def takes(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorator of a function whose arguments are of these kinds. None passes where it is the
-    default."""
+    default, or declared."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         parameters = inspect.signature(function).parameters
-        open_ones = {n for n in kinds if n not in parameters or parameters[n].default is None}
+        open_ones = {
+            n
+            for n in kinds
+            if n not in parameters
+            or parameters[n].default is None
+            or str(parameters[n].annotation).endswith("| None")
+        }
         names = list(parameters)
 
         def taken(name: str, value: object) -> object:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Unpack
 
 from greybox.automatic.borrow import decide_for
-from greybox.automatic.decide import Decided
 from greybox.automatic.fit import Prepared, fit_decided, prepare
 from greybox.automatic.judged import judged
 from greybox.automatic.lasting import with_lasting
@@ -168,17 +167,6 @@ def fit_prepared(
     """The automatic fit to flights that are prepared, with its errors, not judged yet. Raises
     `DataError`, `ModelError`, `FitError`."""
     vehicle, decided = decide_for(vehicle, prepared, given, say=say)
-    return fit_as_decided(vehicle, prepared, decided, say, progress)
-
-
-def fit_as_decided(
-    vehicle: Vehicle,
-    prepared: Prepared,
-    decided: Decided,
-    say: Say = _quiet,
-    progress: Progress | None = None,
-) -> Fit:
-    """`fit_prepared` once it is decided how. Raises `FitError`."""
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
     found = with_lasting(with_rivals(found, prepared.data), prepared.data)
     return calibrated(found, prepared.data)

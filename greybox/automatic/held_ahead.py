@@ -15,10 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.automatic.borrow import decide_for
-from greybox.automatic.decide import Decided
 from greybox.automatic.fit import Prepared, continued, fit_recipe, prepare, without_effects
-from greybox.automatic.front_door import fit_as_decided
+from greybox.automatic.front_door import fit_prepared
 from greybox.automatic.setting import Given
 from greybox.automatic.trials import QUICK, Say
 from greybox.data import Dataset
@@ -29,7 +27,6 @@ from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
-from greybox.model.vehicle import Vehicle
 from greybox.statistics.regret import information_on
 from greybox.validation.judges import Judges
 from greybox.validation.worth import Span, Worth, clearly, seconds, worth
@@ -38,10 +35,12 @@ from greybox.validation.worth import Span, Worth, clearly, seconds, worth
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldAhead:
     """The `fit` by errors ahead with the effects that hold, and what every effect that was asked is
-    worth to it (None: nobody can tell, as nothing can be fitted without it)."""
+    worth to it (None: flights do without it, or nothing can be fitted without it); there was no
+    room for those that are `crowded_out`, which were worth it to a larger model."""
 
     fit: Fit
     worth: Mapping[str, Worth | None]
+    crowded_out: frozenset[str] = frozenset()
 
     def held(self, name: str) -> bool:
         """Whether an effect that was asked is in the model of the fit."""
@@ -64,11 +63,13 @@ def held_ahead(
     these do not need, `most` at most, and what the others are worth `span` [s] ahead on flights
     that judge.
 
-    What is `fixed` and `per_flight` (none: decided) holds for all fits. None where nothing can be
-    fitted. Raises `DataError`, `ModelError`.
+    What is `fixed` and `per_flight` (none: decided) holds for all fits that have it. None where
+    nothing can be fitted. Raises `DataError`, `ModelError`.
     """
-    choices = FitChoices(fixed=fixed) if fixed else FitChoices()
-    choices |= FitChoices(per_flight=per_flight) if per_flight else FitChoices()
+    there = {d.name for d in model.parameters}
+    held, own = ([n for n in names if n in there] for names in (fixed, per_flight))
+    choices = FitChoices(fixed=held) if held else FitChoices()
+    choices |= FitChoices(per_flight=own) if own else FitChoices()
     prepared = prepare(
         model.vehicle,
         data,
@@ -77,23 +78,15 @@ def held_ahead(
         decide_rate=False,
         keep_noise_free=True,
     )
-    given = Given(
-        effects=tuple(e for e in model.effects if e.name not in model.vehicle.effects),
-        input=model.input,
-        kinematic_noise=model.kinematic_noise,
-        adapt=judges.adapt,
+    race = _Race(
+        model=model,
+        prepared=prepared,
+        judges=judges,
+        span=span,
         choices=choices,
+        price=float(np.log(len(asked))),
     )
     with contextlib.suppress(FitError):
-        vehicle, decided = decide_for(model.vehicle, prepared, given)
-        race = _Race(
-            vehicle=vehicle,
-            prepared=prepared,
-            decided=decided,
-            judges=judges,
-            span=span,
-            price=float(np.log(len(asked))),
-        )
         return _raced(race, list(asked), most, say)
     return None
 
@@ -101,16 +94,34 @@ def held_ahead(
 def _raced(race: _Race, asked: list[str], most: int, say: Say) -> HeldAhead:
     """What stays of the `asked`, `most` at most. Raises `FitError`."""
     say("the effects fitted by errors ahead")
-    held = whole = race.fitted(())
-    left, told = asked, dict[str, Worth | None]()
+    held, left = race.fitted(()), asked
     while bound := [n for n in left if _at_bound(held, n)]:
         held = race.without(held, bound, say).fit or held
         left = [n for n in left if n not in bound]
-        told |= dict.fromkeys(bound)
-    wanted = [n for n in left if race.doubted(held, n)]
+    wanted, crowded = [n for n in left if race.doubted(held, n)], dict[str, Worth | None]()
+    while True:
+        left = _without_idle(race, held, left, wanted, say)
+        if gone := [n for n in asked if n not in left]:
+            say(f"the effects fitted by errors ahead, without {', '.join(gone)}")
+            held = race.fitted(gone)
+        left = [n for n in left if n in held.model.effects]  # the fit may have dropped one
+        rows = {n: race.without(held, [n], say) for n in left}
+        wanted = [n for n in left if rows[n].idle]
+        if not wanted and len(left) <= most:
+            told = dict.fromkeys(asked) | crowded | {n: row.worth for n, row in rows.items()}
+            return HeldAhead(fit=held, worth=told, crowded_out=frozenset(crowded))
+        if not wanted:
+            least = min(left, key=lambda n: rows[n].gain)
+            crowded[least] = rows[least].worth
+            left.remove(least)
+
+
+def _without_idle(
+    race: _Race, held: Fit, left: list[str], wanted: list[str], say: Say
+) -> list[str]:
+    """Of the effects that are `left` those that stay, where `wanted` are asked."""
     while wanted:
         rows = {n: race.without(held, [n], say) for n in wanted}
-        told |= {n: row.worth for n, row in rows.items()}
         wanted = sorted((n for n in wanted if rows[n].idle), key=lambda n: rows[n].gain)
         going, less = wanted, race.without(held, wanted, say) if len(wanted) > 1 else None
         if less is None or not less.idle:  # some stand for each other
@@ -118,16 +129,7 @@ def _raced(race: _Race, asked: list[str], most: int, say: Say) -> HeldAhead:
         if less is not None:
             held = less.fit or held
         left, wanted = ([n for n in some if n not in going] for some in (left, wanted))
-    while True:
-        if gone := [n for n in asked if n not in left]:
-            say(f"the effects fitted by errors ahead, without {', '.join(gone)}")
-            whole = race.fitted(gone)
-        rows = {n: race.without(whole, [n], say) for n in left}
-        told |= {n: row.worth for n, row in rows.items()}
-        least = min(left, key=lambda n: rows[n].gain, default=None)
-        if least is None or not (rows[least].idle or len(left) > most):
-            return HeldAhead(fit=whole, worth=told)
-        left = [n for n in left if n != least]
+    return left
 
 
 def _at_bound(held: Fit, name: str) -> bool:
@@ -187,20 +189,27 @@ class _Without:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Race:
-    """The craft, its flights, and how all effects together are fitted as `decided`; a number costs
-    the `price`."""
+    """The flights, and what holds for every fit; a number costs the `price`."""
 
-    vehicle: Vehicle
+    model: PhysicsModel
     prepared: Prepared
-    decided: Decided
     judges: Judges
     span: Span
+    choices: FitChoices
     price: float
 
     def fitted(self, gone: Sequence[str]) -> Fit:
         """The automatic fit with all effects but those that are `gone`."""
-        recipe = without_effects(self.decided.recipe, gone)
-        return fit_as_decided(self.vehicle, self.prepared, replace(self.decided, recipe=recipe))
+        vehicle = self.model.vehicle
+        stated = {*vehicle.effects, *gone}
+        given = Given(
+            effects=tuple(e for e in self.model.effects if e.name not in stated),
+            input=self.model.input,
+            kinematic_noise=self.model.kinematic_noise,
+            adapt=self.judges.adapt,
+            choices=self.choices,
+        )
+        return fit_prepared(vehicle, self.prepared, given)
 
     def doubted(self, held: Fit, name: str) -> bool:
         """Whether a fit may do without an effect: what its cost would lose, to second order, is
@@ -225,7 +234,7 @@ class _Race:
         going_on = replace(recipe, options=continued(recipe.options, held))
         try:
             less = without_effects(going_on, names)
-            bare = fit_recipe(self.vehicle, self.prepared.data, less)
+            bare = fit_recipe(self.model.vehicle, self.prepared.data, less)
         except GreyboxError:
             return _Without()
         bare = bare.with_history(less, ())

@@ -144,9 +144,5 @@ def _raced(
         return Left(axes=axes)
     values = {k[0]: v for k, v in written.known.items()}
     by_axis = {a.channel: a.refitted(c.name, values) for a, c in zip(lawful, causes, strict=True)}
-    return Left(
-        axes=tuple(by_axis.get(a.channel, a) for a in axes),
-        written=written,
-        taken=taken,
-        law_file=offered.law_file,
-    )
+    now = tuple(by_axis.get(a.channel, a) for a in axes)
+    return Left(axes=now, written=written, taken=taken, law_file=offered.law_file)

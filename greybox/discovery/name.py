@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from greybox.automatic.held_ahead import HeldAhead
 from greybox.discovery.certificate import UNKNOWN, Certificate, Instead
 from greybox.discovery.document import Grounds, WorthRow
 from greybox.discovery.evidence import Fitted, Flights
@@ -84,17 +85,21 @@ def held(name: Name) -> Name:
     return doubted if name.status == "supported" else name
 
 
-def by_errors_ahead(name: str, worth: Worth | None, kept: bool, bar: float) -> Name:
-    """A name where no likelihood judges: `worth` to a model fitted by errors ahead, in which it is
-    `kept` or not; what these tell is an e-process, which needs the `bar`."""
+def by_errors_ahead(name: str, race: HeldAhead, odd: str, bar: float) -> Name:
+    """A name where no likelihood judges, by its worth to the model of a `race` that was fitted by
+    errors ahead: an e-process, which needs the `bar`. `odd`: why it can be none."""
+    kept, worth = race.held(name), race.worth[name]
     log_e = 0.0 if worth is None else worth.log_e
     reason = "no fit ends without it" if kept else "fitted by errors ahead, flights do without it"
+    reason = "no room for it: --max-effects" if name in race.crowded_out else reason
     if kept and worth is not None:
         reason = f"it removes {max(worth.share, 0.0):.1%} of errors ahead at most, log10 e "
         reason += f"{log_e / LOG10:.1f} of {bar / LOG10:.1f}" + ": they grow with it" * worth.harms
     enough = kept and worth is not None and worth.matters and log_e >= bar
     told = Certificate(name=name, rivals={(): log_e})
     said = Name(name=name, status="supported", certificate=told, worth=worth)
+    if odd and kept:
+        return replace(said, status="impossible", reason=odd, kept=True)
     return said if enough else replace(said, status="not certified", reason=reason, kept=kept)
 
 
@@ -183,25 +188,28 @@ def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) ->
     return dict(zip(names, weights.tolist(), strict=True))
 
 
-def impossible(at: Fitted, flights: Flights, name: str) -> str:
+def impossible(at: Fitted | Fit, flights: Flights, name: str) -> str:
     """Why a cause of the structure `at` can be no name; empty where it can. An estimate at its
     bound stands in for something else, and one beyond what any craft has is a fault of the data."""
     cause = flights.causes.offered[name]
-    declared: dict[str, Parameter] = {d.name: d for d in at.problem.dynamics.parameters}
+    if isinstance(at, Fit):
+        dynamics = at.model.dynamics
+        rows = [(n, e.value, e.at_bound) for n, e in at.of_effect(name).items()]
+    else:
+        dynamics, own = at.problem.dynamics, [u.name for u in at.space.unknowns]
+        rows = list(zip(own, at.theta.tolist(), at.held.tolist(), strict=True))
+    declared: dict[str, Parameter] = {d.name: d for d in dynamics.parameters}
     bent = []
-    for u, value, held in zip(at.space.unknowns, at.theta, at.held, strict=True):
-        if u.name not in cause.parameters:
-            continue
-        null = cause.prior[u.name][0]
-        own = declared[u.name]
-        if abs(value - null) > own.possible:
-            size = f"{value:.3g} {own.unit}".rstrip()
+    for number, value, held in [r for r in rows if r[0] in cause.parameters]:
+        null, possible = cause.prior[number][0], declared[number].possible
+        if abs(value - null) > possible:
+            size = f"{value:.3g} {declared[number].unit}".rstrip()
             return (
-                f"{u.name} = {size}, and no craft has more than {own.possible:.3g}: a fault of the "
+                f"{number} = {size}, and no craft has more than {possible:.3g}: a fault of the "
                 "data (axes, frames, units) is likelier; run greybox check"
             )
         if held and value != null:
-            bent.append(u.name)
+            bent.append(number)
     if bent:
         return f"{', '.join(sorted(set(bent)))} ran to a bound: it stands in for something else"
     return ""

@@ -182,10 +182,7 @@ def _offered(
 
 
 def refused(
-    faults: CheckReport,
-    vehicle: Vehicle,
-    settings: SearchSettings | None = None,
-    seconds: float = 0.0,
+    faults: CheckReport, vehicle: Vehicle, settings: SearchSettings, seconds: float = 0.0
 ) -> Discovery:
     """The answer "bad_data": faults that block would be read as physics."""
     return Discovery(
@@ -193,7 +190,7 @@ def refused(
         faults=tuple(f"{f.flight}: {f.message}" for f in faults.blocking),
         omega_known=vehicle.actuator.speed_max is not None,
         seconds=seconds,
-        settings=settings or {},
+        settings=settings,
     )
 
 
@@ -249,7 +246,8 @@ class _Run:
         taught = sum(f.n for f in self.flights.data)
         share = 0.5 if self.test is None else self.judges.samples / max(taught, 1)
         doubts = [impossible(at, self.flights, n) for n in sorted(causes.base)]
-        smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
+        absent = scores.absent if scores and not self.ahead else ()
+        smallest = {n: scores.smallest(n, self.bar, share) for n in absent} if scores else {}
         return replace(
             self._so_far(found),
             verdict=verdict_of({n.status for n in names}, bool(left.unnamed or memory_of(found))),
@@ -283,9 +281,9 @@ class _Run:
             return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
         if said_ahead := self._by_errors_ahead(search, null, last):
             return said_ahead
-        if search.added(last) and self.bent(last):  # laws mend that: every swap is worth its time
+        if not then:  # the likelihood judges, beside laws if not alone: all swaps count
             search.hopeless = lambda _at, _asked: False
-            last = search.run(last)
+            last = search.run(last) if search.added(last) and self.bent(last) else last
         more: Fitted | None = last
         while more is not None:
             at, said, offered = more, self.warnings.copy(), self.flights.causes
@@ -395,7 +393,8 @@ class _Run:
         if race is None:
             return None
         self._settled[at], self.ahead, self.needed = race.fit, True, self.bar
-        said = [by_errors_ahead(n, race.worth[n], race.held(n), self.bar) for n in asked]
+        odd = {n: impossible(race.fit, self.flights, n) for n in asked}
+        said = [by_errors_ahead(n, race, odd[n], self.bar) for n in asked]
         others = [n for n in names if n.name not in asked]
         return [*said, *others], at, replace(left, written=None)
 
@@ -478,12 +477,10 @@ class _Run:
         return not grown
 
     def _separated(self, names: Sequence[Name], at: Fitted) -> dict[str, Manoeuvres | None]:
-        out: dict[str, Manoeuvres | None] = {}
-        for name in names:
-            if name.status == "one of these":
-                self.say(f"what separates {' and '.join(name.shares)}", 0.97)
-                out[name.name] = separating(self.flights, at, name)
-        return out
+        alike = [n for n in names if n.status == "one of these"]
+        if alike:
+            self.say(f"what separates {', '.join(' and '.join(n.shares) for n in alike)}", 0.97)
+        return {n.name: separating(self.flights, at, n) for n in alike}
 
     def _gap(self, null: Fitted, at: Fitted, written: Fitted | None) -> list[GapRow]:
         if self.test is None:

@@ -71,7 +71,8 @@ def judge(
     parts += [_part(c.name, "axis", weigh([c], grid), grid) for c in axes]
     useful = weighed.useful(grid)
     kept = [c for c, p in zip(axes, parts[len(flights) :], strict=True) if _kept(p, useful)]
-    good = {p.name for p in useful_on(parts)}
+    # A flight that taught may spoil what it is foretold well by.
+    good = {p.name for p in useful_on(parts) if judged_on == TEST_FLIGHTS}
     hints = [h for h in hints if h.flight not in good]
     found = conclude(weighed, grid, hints, parts, kept)
     if found.outcome is Outcome.NOT_USABLE:

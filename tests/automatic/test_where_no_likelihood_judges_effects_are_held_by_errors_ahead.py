@@ -43,7 +43,9 @@ def said() -> list[str]:
 
 @pytest.fixture(scope="module")
 def race(train, judges, said) -> HeldAhead:
-    return held_ahead(model(train, *ASKED), ASKED, train, judges, SPAN, len(ASKED), say=said.append)
+    there, most = model(train, *ASKED), len(ASKED)
+    held = ("rotor_drag.k_x",)  # on offer, and in no structure on the way
+    return held_ahead(there, ASKED, train, judges, SPAN, most, fixed=held, say=said.append)
 
 
 def test_what_flights_need_stays_and_what_they_do_without_goes(race):
@@ -75,6 +77,8 @@ def test_no_more_stay_than_may(train, judges):
     one = held_ahead(model(train, *ASKED), ASKED, train, judges, SPAN, 1)
     assert one is not None
     assert [n for n in ASKED if one.held(n)] == ["motor_lag"]
+    assert one.crowded_out == {"rotational_damping"}
+    assert one.worth["rotational_damping"] is not None and one.worth["gyro_scale"] is None
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ def said(times: int) -> tuple[list[str], Any]:
 
     run: Any = SimpleNamespace(
         then=None,
+        bent=lambda _at: False,
         warnings=[],
         flights=SimpleNamespace(causes=None, arrived=lambda at: at),
         say=lambda *_: None,
@@ -44,6 +45,7 @@ def said(times: int) -> tuple[list[str], Any]:
     )
     search: Any = SimpleNamespace(
         run=lambda at: at,
+        added=lambda at: at.names,
         contest=lambda _: {},
         every=lambda _: None,
         crowded_out=lambda _: [],

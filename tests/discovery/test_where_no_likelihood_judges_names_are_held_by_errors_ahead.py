@@ -12,16 +12,17 @@ from typing import Any
 import pytest
 
 import greybox.discovery.workflow
+from greybox.automatic.held_ahead import HeldAhead
 from greybox.discovery.document import DiscoveryDocument
 from greybox.discovery.further import further
 from greybox.discovery.left import Left
-from greybox.discovery.name import by_errors_ahead
+from greybox.discovery.name import by_errors_ahead, impossible
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import _Run
 from greybox.validation.worth import Worth
 from tests.discovery import small_world
 
-BAR = 6.4
+BAR, DAMPING = 6.4, "rotational_damping"
 GOOD = Worth(share=0.9, seen=True, group="rate", horizon=0.5, log_e=7.0, seconds=30)
 
 
@@ -37,17 +38,42 @@ GOOD = Worth(share=0.9, seen=True, group="rate", horizon=0.5, log_e=7.0, seconds
         ),
         (replace(GOOD, share=0.01), True, "not certified", "removes 1.0% of errors ahead at most"),
         (replace(GOOD, log_e=-1.0, harms=True), True, "not certified", "they grow with it"),
-        (GOOD, False, "not certified", "flights do without it"),
         (None, True, "not certified", "no fit ends without it"),
         (None, False, "not certified", "flights do without it"),
     ],
 )
 def test_what_errors_ahead_say_of_a_name(worth, kept, status, says):
-    name = by_errors_ahead("rotor_drag", worth, kept, BAR)
+    name = by_errors_ahead("rotor_drag", race(worth, kept), "", BAR)
     assert name.status == status
     assert says in name.reason
     assert bool(name.reason) == (status != "supported")
     assert name.kept == (kept and status != "supported")
+
+
+def race(worth: Worth | None, kept: bool = True, *crowded: str) -> Any:
+    there = SimpleNamespace(model=SimpleNamespace(effects=("rotor_drag",) if kept else ()))
+    made = {"fit": there, "worth": {"rotor_drag": worth}, "crowded_out": frozenset(crowded)}
+    return HeldAhead(**made)  # type: ignore[arg-type]
+
+
+def test_what_no_craft_has_is_no_name_and_what_had_no_room_is_not_idle():
+    odd = by_errors_ahead("rotor_drag", race(GOOD), "of a size that no craft has", BAR)
+    assert (odd.status, odd.reason, odd.kept) == ("impossible", "of a size that no craft has", True)
+    full = by_errors_ahead("rotor_drag", race(GOOD, False, "rotor_drag"), "", BAR)
+    assert (full.status, full.kept) == ("not certified", False)
+    assert "--max-effects" in full.reason and full.certificate.log_e == GOOD.log_e
+
+
+def test_a_size_is_as_impossible_in_a_fit_as_in_a_structure():
+    flights = small_world.damped()
+    at = flights.fit({"rotational_damping"})
+    found = flights.settled(at)
+    assert impossible(at, flights, "rotational_damping") == ""
+    assert impossible(found, flights, "rotational_damping") == ""
+    damping = found["rotational_damping.d_p"]
+    there = {**found.parameters, damping.name: replace(damping, value=9.0, at_bound=True)}
+    stuck = replace(found, estimates=replace(found.estimates, parameters=there))
+    assert "d_p ran to a bound" in impossible(stuck, flights, "rotational_damping")
 
 
 @dataclass(frozen=True)
@@ -62,11 +88,13 @@ LAST, NAMED, LAWS = Of(frozenset({"lag", "drag"})), Of(frozenset({"lag"})), Of(f
 def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """(names by name, the structure, what is left) of a search that ended at LAST and named NAMED,
     of which those that are `bent` are; `lawful`: laws were found, `mended`: they mend that."""
-    race = SimpleNamespace(fit="by errors ahead", worth={"lag": GOOD, "drag": GOOD})
-    race.held = lambda name: name == "lag"
-    monkeypatch.setattr(greybox.discovery.workflow, "held_ahead", lambda *_, **_said: race)
+    worths = {"lag": GOOD, "drag": GOOD}
+    found = SimpleNamespace(fit="by errors ahead", worth=worths, crowded_out=())
+    found.held = lambda name: name == "lag"
+    monkeypatch.setattr(greybox.discovery.workflow, "held_ahead", lambda *_, **_said: found)
+    monkeypatch.setattr(greybox.discovery.workflow, "impossible", lambda *_: "")
     monkeypatch.setattr(greybox.discovery.workflow, "physics_of", lambda _: "physics")
-    by_likelihood = [by_errors_ahead(n, GOOD, n == "lag", BAR) for n in ("lag", "drag")]
+    by_likelihood = [by_errors_ahead(n, found, "", BAR) for n in ("lag", "drag")]  # type: ignore[arg-type]
 
     def answer(*bent: Any, lawful: bool = False, mended: bool = False) -> Any:
         searched = []
@@ -130,7 +158,7 @@ def test_the_line_says_so_and_no_further_flight_multiplies_it():
     fit = flights.settled(flights.fit({"rotational_damping"}))
     found = Discovery(
         verdict="named",
-        names=(by_errors_ahead("rotational_damping", GOOD, True, BAR),),
+        names=(replace(by_errors_ahead("rotor_drag", race(GOOD), "", BAR), name=DAMPING),),
         fit=fit,
         omega_known=True,
         seconds=1.0,

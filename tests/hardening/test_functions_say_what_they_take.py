@@ -223,3 +223,17 @@ def test_none_passes_where_it_is_the_default_and_positions_count() -> None:
     for arguments in ((0, None), (0, "a"), (0, ["a"], 0.5), (0, [1])):
         with pytest.raises(GreyboxError):
             function(*arguments)
+
+
+def test_none_passes_where_it_is_declared() -> None:
+    """As of the vehicle file of `identify`, which the log is asked for then."""
+
+    @takes(names=NAMES)
+    def function(names: list[str] | None) -> object:
+        return names
+
+    assert function(None) is None
+    with pytest.raises(GreyboxError, match="got 3"):
+        function(3)  # type: ignore[arg-type]
+    with pytest.raises(GreyboxError, match=r"no-such-log\.csv"):
+        gb.identify(None, ["no-such-log.csv"])

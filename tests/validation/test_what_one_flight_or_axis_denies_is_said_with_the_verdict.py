@@ -148,12 +148,13 @@ def test_what_was_seen_of_a_flight_on_which_it_is_useful_is_no_reason(others) ->
     sizes = FAST_AND_SLOW | ({"fast1": 0.15} if others else {})
     bad: dict[str, Shares] = {"star_fast": {"rate": until(0.06)}, **others}
 
-    def reason(flight: str) -> str:
+    def reason(flight: str, judged_on: str = TEST_FLIGHTS) -> str:
         seen = Hint(symptom=Symptom.SATURATED, detail=flight, flight=flight)
-        return verdict_of(sizes, bad, hints=(seen,)).anchor
+        return verdict_of(sizes, bad, hints=(seen,), judged_on=judged_on).anchor
 
     assert reason("star_fast") == reason("") == reason("trained") == Symptom.SATURATED.anchor
     assert reason("star_slow") == verdict_of(sizes, bad).anchor != Symptom.SATURATED.anchor
+    assert reason("star_slow", LEFT_OUT) == Symptom.SATURATED.anchor, "it taught, and may spoil"
 
 
 def test_a_flight_that_hardly_moves_denies_nothing_and_is_named_as_not_judged() -> None:
