@@ -130,7 +130,7 @@ def problem_of(model: Any, data: Any, predictor: Any = None) -> Any:
         data,
         predictor=predictor or Innovation(),
         criterion=Gaussian(),
-        free=TRUTH,
+        free=list(TRUTH),
         values=START,
         priors={n: (v, float("inf")) for n, v in START.items()},
         estimate_noise=False,
