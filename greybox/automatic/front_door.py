@@ -64,9 +64,9 @@ def fit(
     The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
     solver, initialisation, disturbance, noise_parts, free, fixed, considered, per_flight, shared,
     values, priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
-    use_compiler. Raises what `greybox.estimation.fit.fit` raises, `ModelError` for a `source` that
-    was not finished or has a learned part, `BadDataError` where the vehicle or all flights have
-    faults that block, and `DataError` for a flight that is both to train and to test.
+    use_compiler. Raises what `greybox.estimation.fit.fit` raises, and `ModelError` for a `source`
+    that was not finished or has a learned part. Raises `BadDataError` where the vehicle or all
+    flights have faults that block, `DataError` for a flight that is both to train and to test.
     """
     demand_known(source)
     data = Dataset.of(data)

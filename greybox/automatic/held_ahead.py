@@ -22,12 +22,11 @@ from greybox.automatic.trials import QUICK, Say
 from greybox.data import Dataset
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import fit
-from greybox.estimation.laplace import at_bound
+from greybox.estimation.laplace import at_bound, free_information
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
-from greybox.statistics.regret import information_on
 from greybox.validation.judges import Judges
 from greybox.validation.worth import Span, Worth, clearly, seconds, worth
 
@@ -70,17 +69,16 @@ def held_ahead(
     held, own = ([n for n in names if n in there] for names in (fixed, per_flight))
     choices = FitChoices(fixed=held) if held else FitChoices()
     choices |= FitChoices(per_flight=own) if own else FitChoices()
-    prepared = prepare(
-        model.vehicle,
-        data,
-        keep_impossible=True,
-        all_flights=True,
-        decide_rate=False,
-        keep_noise_free=True,
-    )
     race = _Race(
         model=model,
-        prepared=prepared,
+        prepared=prepare(
+            model.vehicle,
+            data,
+            keep_impossible=True,
+            all_flights=True,
+            decide_rate=False,
+            keep_noise_free=True,
+        ),
         judges=judges,
         span=span,
         choices=choices,
@@ -98,37 +96,36 @@ def _raced(race: _Race, asked: list[str], most: int, say: Say) -> HeldAhead:
     while bound := [n for n in left if _at_bound(held, n)]:
         held = race.without(held, bound, say).fit or held
         left = [n for n in left if n not in bound]
-    wanted, crowded = [n for n in left if race.doubted(held, n)], dict[str, Worth | None]()
+    rows = {n: race.without(held, [n], say) for n in left if race.doubted(held, n)}
+    crowded = dict[str, Worth | None]()
     while True:
-        left = _without_idle(race, held, left, wanted, say)
+        left = _without_idle(race, held, left, rows, say)
         if gone := [n for n in asked if n not in left]:
             say(f"the effects fitted by errors ahead, without {', '.join(gone)}")
             held = race.fitted(gone)
         left = [n for n in left if n in held.model.effects]  # the fit may have dropped one
         rows = {n: race.without(held, [n], say) for n in left}
-        wanted = [n for n in left if rows[n].idle]
-        if not wanted and len(left) <= most:
+        if any(row.idle for row in rows.values()):
+            continue
+        if len(left) <= most:
             told = dict.fromkeys(asked) | crowded | {n: row.worth for n, row in rows.items()}
             return HeldAhead(fit=held, worth=told, crowded_out=frozenset(crowded))
-        if not wanted:
-            least = min(left, key=lambda n: rows[n].gain)
-            crowded[least] = rows[least].worth
-            left.remove(least)
+        least = min(left, key=lambda n: rows[n].gain)
+        crowded[least] = rows[least].worth
+        left.remove(least)
 
 
 def _without_idle(
-    race: _Race, held: Fit, left: list[str], wanted: list[str], say: Say
+    race: _Race, held: Fit, left: list[str], rows: Mapping[str, _Without], say: Say
 ) -> list[str]:
-    """Of the effects that are `left` those that stay, where `wanted` are asked."""
-    while wanted:
-        rows = {n: race.without(held, [n], say) for n in wanted}
-        wanted = sorted((n for n in wanted if rows[n].idle), key=lambda n: rows[n].gain)
-        going, less = wanted, race.without(held, wanted, say) if len(wanted) > 1 else None
+    """Of the effects that are `left` those that stay, by the `rows` of those that were asked."""
+    while idle := sorted((n for n in rows if rows[n].idle), key=lambda n: rows[n].gain):
+        going, less = idle, race.without(held, idle, say) if len(idle) > 1 else None
         if less is None or not less.idle:  # some stand for each other
-            going, less = wanted[:1], rows[wanted[0]] if wanted else None
-        if less is not None:
-            held = less.fit or held
-        left, wanted = ([n for n in some if n not in going] for some in (left, wanted))
+            going, less = idle[:1], rows[idle[0]]
+        held = less.fit or held
+        left, idle = ([n for n in some if n not in going] for some in (left, idle))
+        rows = {n: race.without(held, [n], say) for n in idle}
     return left
 
 
@@ -219,11 +216,10 @@ class _Race:
         own = [i for i, u in enumerate(unknowns) if u.name in held.of_effect(name)]
         zero = [null[unknowns[i].name] for i in own]
         stuck = at_bound(held.problem, held.theta, value)
-        if value.hessian is None or not own or None in zero or stuck[own].any():
+        if not own or None in zero or stuck[own].any():
             return True
-        rest = [i for i in np.flatnonzero(~stuck).tolist() if i not in own]
         off = held.theta[own] - np.array(zero, dtype=float)
-        loss = 0.5 * float(off @ information_on(value.hessian, own, rest) @ off)
+        loss = 0.5 * float(off @ free_information(held.problem, held.theta, value, own) @ off)
         return loss < 3 * len(held.of_effect(name)) * self.price
 
     def without(self, held: Fit, names: Sequence[str], say: Say) -> _Without:

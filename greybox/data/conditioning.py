@@ -63,12 +63,7 @@ def condition(
     for a bad `rate` or `max_gap`.
     """
     where = where or raw.source
-    if rate is not None and not POSITIVE.fits(rate):
-        raise DataError(f"rate {shown(rate)}", expected="a positive number of Hz", where=where)
-    if not (isinstance(max_gap, numbers.Real) and max_gap > 0):  # infinite: no gap
-        raise DataError(
-            f"max_gap {shown(max_gap)}", expected="a positive number of seconds", where=where
-        )
+    _demand_choices(rate, max_gap, where)
     _demand_increasing(raw, where)
     notes = list(raw.notes)
     channels: dict[str, FloatArray] = dict(raw.channels)
@@ -109,6 +104,15 @@ def condition(
     if not pieces and (wrong := no_flight_log(1.0 / clock.dt)) is not None:
         raise DataError(wrong, where=where, fix=UNIT)
     return _flight(raw, pieces, notes, where)
+
+
+def _demand_choices(rate: float | None, max_gap: float, where: str) -> None:
+    if rate is not None and not POSITIVE.fits(rate):
+        raise DataError(f"rate {shown(rate)}", expected="a positive number of Hz", where=where)
+    if not (isinstance(max_gap, numbers.Real) and max_gap > 0):  # infinite: no gap
+        raise DataError(
+            f"max_gap {shown(max_gap)}", expected="a positive number of seconds", where=where
+        )
 
 
 def _clock_of_the_gyro(

@@ -20,7 +20,7 @@ from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.fit import Fit, concluded
 from greybox.estimation.initialisation import noise_start
-from greybox.estimation.laplace import at_bound, log_evidence
+from greybox.estimation.laplace import at_bound, free_information, log_evidence
 from greybox.estimation.options import FitOptions
 from greybox.estimation.other_scales import on_other_scales
 from greybox.estimation.prior import Prior
@@ -31,7 +31,6 @@ from greybox.estimation.status import Code, Status
 from greybox.estimation.unknown import SearchSpace, Unknown
 from greybox.journal import answers
 from greybox.model.dynamics import Dynamics
-from greybox.statistics.regret import information_on
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.workers import side_by_side
 
@@ -94,9 +93,7 @@ class Fitted:
 
     def information(self, places: Sequence[int]) -> FloatArray:
         """On the unknowns at `places` (k, k), all others that are free integrated out."""
-        assert self.value.hessian is not None
-        rest = [i for i in np.flatnonzero(~self.held).tolist() if i not in places]
-        return information_on(self.value.hessian, places, rest)
+        return free_information(self.space, self.theta, self.value, places)
 
 
 @dataclass(frozen=True, kw_only=True)

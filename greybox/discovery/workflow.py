@@ -242,12 +242,11 @@ class _Run:
         found = self.judges.judged(found)
         written = left.written and self.judges.judged(self.settled(left.written))
         rows = self._gap(null, self.last or at, left.written)
-        scores = search.scores
+        scores = None if self.ahead else search.scores
         taught = sum(f.n for f in self.flights.data)
         share = 0.5 if self.test is None else self.judges.samples / max(taught, 1)
         doubts = [impossible(at, self.flights, n) for n in sorted(causes.base)]
-        absent = scores.absent if scores and not self.ahead else ()
-        smallest = {n: scores.smallest(n, self.bar, share) for n in absent} if scores else {}
+        smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
             self._so_far(found),
             verdict=verdict_of({n.status for n in names}, bool(left.unnamed or memory_of(found))),

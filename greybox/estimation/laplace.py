@@ -8,6 +8,8 @@ and a prior that a bound cuts holds its mass on the side that is allowed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.special
 
@@ -15,6 +17,7 @@ from greybox.estimation.prior import log_peak
 from greybox.estimation.solver import Value
 from greybox.estimation.unknown import SearchSpace
 from greybox.statistics.normal_mass import log_mass
+from greybox.statistics.regret import information_on
 from greybox.symbolic import BoolArray, FloatArray
 
 WEAK = 1e-8
@@ -26,6 +29,15 @@ def at_bound(space: SearchSpace, theta: FloatArray, value: Value) -> BoolArray:
     assert value.gradient is not None
     low, high = theta <= space.lower, theta >= space.upper
     return np.asarray((low & (value.gradient > 0)) | (high & (value.gradient < 0)))
+
+
+def free_information(
+    space: SearchSpace, theta: FloatArray, value: Value, places: Sequence[int]
+) -> FloatArray:
+    """On the unknowns at `places` (k, k), all others that no bound holds integrated out."""
+    assert value.hessian is not None
+    free = np.flatnonzero(~at_bound(space, theta, value)).tolist()
+    return information_on(value.hessian, places, [i for i in free if i not in places])
 
 
 def log_evidence(space: SearchSpace, theta: FloatArray, value: Value) -> float:

@@ -188,10 +188,8 @@ def fit_linear(
     """
     if not records:
         raise DataError("no records", fix="pass at least one log to train on")
-    options, setup = (
-        options or Options(),
-        chosen("option of a linear fit", LinearSetup, None, choices),
-    )
+    options = options or Options()
+    setup = chosen("option of a linear fit", LinearSetup, None, choices)
     if setup.solver not in SOLVERS:
         raise UnknownNameError("solver", setup.solver, SOLVERS)
     columns = _columns(records, setup)

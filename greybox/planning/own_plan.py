@@ -17,7 +17,6 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import FitError, GreyboxError, ModelError, UnknownNameError
-from greybox.estimation.fit import noise_of
 from greybox.files import Json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel, library_versions
@@ -25,7 +24,7 @@ from greybox.model.known import demand_known
 from greybox.model.parameter import Parameter
 from greybox.planning.information import Score, choose, efficiency, errors, information
 from greybox.planning.options import left_over, whole_pieces
-from greybox.planning.planning_case import precision_of
+from greybox.planning.planning_case import noise_levels, precision_of
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.own_plan/1"
@@ -247,15 +246,11 @@ def _subject(
     if not names:
         raise GreyboxError("nothing to estimate: every number is exact", fix="--free a,b")
     known = {} if fitted is None else {n: v for n, v in fitted.values.items() if n in declared}
-    levels = {} if fitted is None else noise_of(fitted)
-    here = {f"noise.process.{n}" for n in dynamics.noises.names} | {
-        f"noise.sensor.{n}" for n in dynamics.innovations.names
-    }
     return OwnSubject(
         dynamics=dynamics,
         free=names,
         values={**{n: d.nominal for n, d in declared.items()}, **known, **(values or {})},
-        noise={**{n: v for n, v in levels.items() if n in here}, **(noise or {})},
+        noise=noise_levels(dynamics, fitted, noise),
         precision=precision_of(declared, names, fitted),
         sample_time=dt,
     )

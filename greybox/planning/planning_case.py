@@ -149,7 +149,7 @@ def planning_case(
             e: inside for e, ns in groups.items() if (inside := tuple(n for n in ns if n in names))
         },
         values=numbers,
-        noise=_noise(dynamics, model, noise),
+        noise=noise_levels(dynamics, model, noise),
         precision=precision_of(declared, names, model),
         sample_time=physics.sample_time,
     )
@@ -308,7 +308,7 @@ def _flying(physics: PhysicsModel, numbers: Mapping[str, float], dt: float) -> I
     )
 
 
-def _noise(
+def noise_levels(
     dynamics: Dynamics, model: IdentifiedModel | None, given: Mapping[str, float] | None
 ) -> dict[str, float]:
     """Levels of the model's filter (where it has them), then the given ones."""
