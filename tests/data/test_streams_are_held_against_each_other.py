@@ -19,7 +19,17 @@ from greybox.data.checks import check
 from greybox.data.checks.finding import CheckReport
 from greybox.data.checks.kinematics import common_rate
 from greybox.data.checks.mixture import mixture
-from greybox.data.checks.relations import Factor, Reading, Tried, better_reading, mixed, moments
+from greybox.data.checks.relations import (
+    CLEAR,
+    Factor,
+    Reading,
+    Tried,
+    better_reading,
+    jackknife,
+    mixed,
+    moments,
+    nearer,
+)
 from greybox.data.checks.signals import Integral, turned
 from greybox.data.checks.spans import spans
 from greybox.data.raw import RawLog
@@ -269,6 +279,26 @@ def test_readings_that_differ_by_a_constant_matrix_are_not_told_apart_by_the_way
     x = np.random.default_rng(3).normal(size=(400, 3))
     weight, _ = mixture(x, x, x @ np.diag([1.0, -1.0, 0.5]), np.arange(0, 400, 40)).weights()
     assert np.isnan(weight)
+
+
+@pytest.mark.parametrize(("true_share", "told"), [(0.0, False), (1.0, True)])
+def test_noise_that_no_reading_knows_stands_halfway_and_accuses_none(
+    true_share: float, told: bool
+) -> None:
+    """Where an accelerometer feels little but its own noise across the thrust, exchanged axes miss
+    as much as the right ones; what else is left of the motion then tips the scales."""
+    draw = np.random.default_rng(7)
+    x, felt, noise = draw.normal(size=(3, 4000, 3))
+    felt, noise = 0.05 * felt, 0.05 * noise
+    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    given = x + true_share * felt + noise
+    other = x + (true_share * felt + noise) @ turn.T
+    y = x + true_share * felt @ turn.T + 0.03 * (other - given)
+    y += 0.002 * draw.normal(size=x.shape)
+    between = mixture(y, given, other, np.arange(0, 4000, 200))
+    weight, others = between.weights()
+    assert weight - 0.5 > CLEAR * jackknife(others)
+    assert nearer(between) is told
 
 
 def summed(increments: np.ndarray) -> Integral:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -388,12 +389,13 @@ def far_better(
 
 
 def nearer(between: Mixture | None) -> bool:
-    """Whether the data are nearer to the other reading than to the one given, by `CLEAR` standard
-    errors."""
+    """Whether the data are far nearer to the other reading than to the one given: what it leaves of
+    their difference, (1 - w)^2, is below `LEFT` of what that leaves, w^2, by `CLEAR` standard
+    errors. Noise that no reading knows stands halfway."""
     if between is None:
         return False
     weight, others = between.weights()
-    return bool(weight - 0.5 > CLEAR * jackknife(others))
+    return bool(weight - 1.0 / (1.0 + math.sqrt(LEFT)) > CLEAR * jackknife(others))
 
 
 def better_reading(
