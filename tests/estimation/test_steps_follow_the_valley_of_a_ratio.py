@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from greybox.estimation.solver import Value
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers import levenberg_marquardt
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt, newton_decrement
 from greybox.estimation.unknown import Unknown
 from greybox.model.effects.payload_mass import PayloadMass
 from greybox.symbolic import FloatArray
@@ -120,3 +121,65 @@ def test_a_factor_that_is_pushed_to_its_bound_lands_on_it() -> None:
         )
         assert status.converged
         assert found[1] == Ratio(unknowns=weak).lower[1]
+
+
+@dataclass(frozen=True)
+class ThrustMap(Ratio):
+    """The thrust c1 u + c2 u^2 over the mass is known to `ERROR` at two commands."""
+
+    unknowns: tuple[Unknown, ...] = (
+        unknown("mass", 1.0, 0.03, 0.0, 0.05),
+        unknown("thrust.c1", -0.2, 0.1, np.nan, -20.0),
+        unknown("thrust.c2", 3.0, 1.0, np.nan, -20.0),
+    )
+
+    def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
+        u = np.array([0.5, 0.8])
+        rows = np.column_stack([u, u**2]) / ERROR
+        mass, parts = theta[0], theta[1:]
+        off = rows @ (parts / mass - [-0.3, 4.0])
+        slope = np.column_stack([-rows @ parts / mass**2, rows / mass])
+        return self._valued(theta, off, slope)
+
+    def _valued(self, theta: FloatArray, off: FloatArray, slope: FloatArray) -> Value:
+        mean = np.array([v.mean for v in self.unknowns])
+        precision = np.array([v.sigma**-2.0 for v in self.unknowns])
+        cost = 0.5 * float(off @ off + (precision * (theta - mean) ** 2).sum())
+        gradient = slope.T @ off + precision * (theta - mean)
+        hessian = slope.T @ slope + np.diag(precision)
+        return Value(cost=cost, likelihood=cost, gradient=gradient, hessian=hessian)
+
+
+@dataclass(frozen=True)
+class Drags(ThrustMap):
+    """The sum of two drags is known to `ERROR`, and each cannot be negative."""
+
+    unknowns: tuple[Unknown, ...] = (
+        unknown("rotor_drag", 1.0, 0.5, 0.0, 0.0),
+        unknown("blade_flapping", 1.0, 0.1, 0.0, 0.0),
+    )
+
+    def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
+        off = np.array([theta.sum() - 3.0]) / ERROR
+        return self._valued(theta, off, np.ones((1, 2)) / ERROR)
+
+
+@pytest.mark.parametrize(
+    ("problem", "start"),
+    [(ThrustMap(), 2.7 * np.array([1.0, -0.3, 4.0])), (Drags(), np.array([0.3, 2.7]))],
+)
+def test_the_valley_of_a_sum_is_straight(
+    problem: ThrustMap, start: FloatArray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thrust map with a negative part crept along for a hundred steps, and a fit that would have
+    foretold three times better was given up as not converged."""
+    found, status = LevenbergMarquardt().solve(problem, start)
+    assert status.converged
+    assert status.iterations < 15
+    value = problem.evaluate(found)
+    assert value.gradient is not None
+    assert value.hessian is not None
+    assert newton_decrement(value.gradient, value.hessian, np.zeros(found.size, dtype=bool)) < 1e-6
+    monkeypatch.setattr(levenberg_marquardt, "straight", levenberg_marquardt.moved_by)
+    _, creeping = LevenbergMarquardt().solve(problem, start)
+    assert creeping.iterations > 2 * status.iterations

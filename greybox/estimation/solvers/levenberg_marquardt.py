@@ -8,7 +8,7 @@ Hessian leaves out is learned on the way (`greybox.estimation.solvers.curvature`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +49,9 @@ BEYOND = 10.0
 14. From starts at random, far from any optimum, tails are longer. Single causes next to a missing
 lag: `python -m scenarios.studies.e_values --run depth --seeds 1 1`, 20 later steps, the deepest
 1.4."""
+
+Way = Callable[[FloatArray, FloatArray, Objective], FloatArray]
+"""How a step (n,) is taken from unknowns (n,) of a problem."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,11 +214,11 @@ class _Search:
         low, high = self._room
         for _ in range(30):
             taken = boxed_step(g, h, np.maximum(low, self._fall), high, self._damping)
-            share, cost, tried = worth_taking(self.problem, self.x, self.value, h, taken)
+            way, share, cost, tried = worth_taking(self.problem, self.x, self.value, h, taken)
             self.evaluations += tried
             if share > 0:
                 part = share * taken
-                new = moved_by(self.x, part, self.problem)
+                new = way(self.x, part, self.problem)
                 trial = self.problem.evaluate(new)
                 self.evaluations += 1
                 if trial.valid and trial.cost < self.value.cost:
@@ -275,31 +278,40 @@ def promise_of(g: FloatArray, h: FloatArray, step: FloatArray) -> float:
 
 def worth_taking(
     problem: Objective, x: FloatArray, value: Value, h: FloatArray, step: FloatArray
-) -> tuple[float, float, int]:
-    """(share of a step that is worth taking, 0 for none; cost of the whole step; evaluations), by
-    costs alone, which are far cheaper than slopes.
+) -> tuple[Way, float, float, int]:
+    """(how to take a step, share of it that is worth taking, 0 for none; cost of the whole step;
+    evaluations), by costs alone, which are far cheaper than slopes.
 
     The whole step where a quarter of its promise is kept, else the floor of the parabola through
     the slope here and the cost there: where the Hessian is too small in a few directions, whole
-    steps cross their valley to and fro.
+    steps cross their valley to and fro. Straight where that is better: valleys of a sum (two drags,
+    the powers of a thrust map) are straight, those of a product are in logarithms (`moved_by`).
     """
     assert value.gradient is not None
     slope, promise = float(value.gradient @ step), promise_of(value.gradient, h, step)
 
-    def cost_at(share: float) -> float:
-        return problem.evaluate(moved_by(x, share * step, problem), 0).cost
+    def cost_at(way: Way, share: float) -> float:
+        return problem.evaluate(way(x, share * step, problem), 0).cost
 
-    share, costs = 1.0, {1.0: cost_at(1.0)}
-    while len(costs) <= PARTS and promise > 0 and value.cost - costs[share] < POOR * promise:
+    def poor(cost: float) -> bool:
+        return promise > 0 and value.cost - cost < POOR * promise
+
+    whole: dict[Way, float] = {moved_by: cost_at(moved_by, 1.0)}
+    if poor(whole[moved_by]):
+        whole[straight] = cost_at(straight, 1.0)
+    way = min(whole, key=lambda way: whole[way])
+    share, costs = 1.0, {1.0: whole[way]}
+    while len(costs) <= PARTS and poor(costs[share]):
         rise = costs[share] - value.cost - share * slope
         floor = -0.5 * share**2 * slope / rise if rise > 0 else np.inf
         floor = min(max(floor, 0.1 * share), 3.0 * share, 0.9) if np.isfinite(rise) else 0.3 * share
         if costs[share] < value.cost and abs(floor - share) < 0.3 * share:
             break
         share = floor
-        costs[share] = cost_at(share)
+        costs[share] = cost_at(way, share)
     best = min(costs, key=lambda part: costs[part])
-    return best if costs[best] < value.cost else 0.0, costs[1.0], len(costs)
+    tried = len(whole) + len(costs) - 1
+    return way, best if costs[best] < value.cost else 0.0, costs[1.0], tried
 
 
 def shares_kept(
@@ -362,6 +374,13 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
         there = factor & (x + step <= lower) & (x + moved - lower < 1e-3 * size)
     moved[there] = (lower - x)[there]
     return np.clip(x + moved, lower, problem.upper)
+
+
+def straight(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
+    """x (n,) moved by a step (n,), of noise levels in their variances, within the bounds."""
+    level = is_level(problem)
+    step = np.where(level, 0.5 * np.log1p(2.0 * np.where(level, step, 0.0)), step)
+    return np.clip(x + step, problem.lower, problem.upper)
 
 
 def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
