@@ -32,8 +32,9 @@ class SearchFolder:
     def write(self, found: Discovery) -> None:
         """Write what is found. The result comes last: until then it says that the search was
         stopped."""
-        from greybox.discovery.folder import WITH_LAWS, write_found
+        from greybox.discovery.result import write_found
         from greybox.files import withdraw
+        from greybox.residual.laws.effect_file import WITH_LAWS
 
         out, content = self._out, found.to_dict()
         first, told = self.warnings()
@@ -78,8 +79,8 @@ class SearchFolder:
 
     def lines(self, found: Discovery) -> list[str]:
         """The result for people, and what was written."""
-        from greybox.discovery.folder import WITH_LAWS
         from greybox.model.layer import physics_of
+        from greybox.residual.laws.effect_file import WITH_LAWS
 
         lines, laws = found.summary().splitlines(), list(found.proposals())
         first = 1 + len(found.faults)

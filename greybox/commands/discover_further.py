@@ -16,7 +16,6 @@ from greybox.commands.judgement import log_faults, refuse_faults
 
 def go_on(arguments: argparse.Namespace) -> int:
     """Multiply the evidence of the names of an earlier search by that of further flights."""
-    from greybox.discovery.folder import WITH_LAWS
     from greybox.discovery.further import further
     from greybox.errors import GreyboxError
     from greybox.files import read_json, withdraw, write_atomic, write_json
@@ -24,7 +23,7 @@ def go_on(arguments: argparse.Namespace) -> int:
     from greybox.model.identified import IdentifiedModel
     from greybox.model.layer import physics_of
     from greybox.report.discover_report import discover_report
-    from greybox.residual.laws.effect_file import set_aside_laws
+    from greybox.residual.laws.effect_file import WITH_LAWS, set_aside_laws
 
     if any((arguments.vehicle, arguments.since, arguments.model_file)):
         raise GreyboxError(

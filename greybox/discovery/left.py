@@ -32,11 +32,13 @@ from greybox.residual.laws.without_memory import without_memory
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Left:
-    """All axes, and the structure with the laws that won; `taken`: names that no law may have."""
+    """All axes, and the structure with the laws that won; `taken`: names that no law may have;
+    `doubts`: why laws that were found are not written."""
 
     axes: tuple[Axis, ...]
     written: Fitted | None = None
     taken: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     law_file: Callable[[Law, int, Collection[str]], str] = proposal_text
 
     def lawful(self, settled: Fit) -> IdentifiedModel:

@@ -178,6 +178,12 @@ def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
     return replace(shown, certificate=beside, shares={}, elsewhere={}, unlikely={})
 
 
+def out_done(name: Name, gain: float) -> Name:
+    """A name in whose place laws have a log evidence that is larger by `gain`."""
+    e = f"laws in its place make the flights likelier (log10 e {gain / LOG10:.1f})"
+    return replace(name, status="not certified", reason=e, kept=False, shares={}, elsewhere={})
+
+
 def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) -> dict[str, float]:
     """Probability of every set: by the evidence of all flights, which favours no side as an e-value
     does, and the log prior odds `price` against each cause that a set has more."""
@@ -204,15 +210,12 @@ def impossible(at: Fitted | Fit, flights: Flights, name: str) -> str:
         null, possible = cause.prior[number][0], declared[number].possible
         if abs(value - null) > possible:
             size = f"{value:.3g} {declared[number].unit}".rstrip()
-            return (
-                f"{number} = {size}, and no craft has more than {possible:.3g}: a fault of the "
-                "data (axes, frames, units) is likelier; run greybox check"
-            )
+            beyond = f"{number} = {size}, and no craft has more than {possible:.3g}"
+            return f"{beyond}: a fault of the data (axes, frames, units) is likelier; run greybox check"
         if held and value != null:
             bent.append(number)
-    if bent:
-        return f"{', '.join(sorted(set(bent)))} ran to a bound: it stands in for something else"
-    return ""
+    ran = f"{', '.join(sorted(set(bent)))} ran to a bound: it stands in for something else"
+    return ran if bent else ""
 
 
 def separating(flights: Flights, at: Fitted, name: Name) -> Manoeuvres | None:

@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from greybox.discovery import document
-from greybox.discovery.folder import WITH_LAWS, write_found
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
 from greybox.discovery.words import first_line, in_words, rows_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.estimation.noise_table import SensorRow
-from greybox.files import to_plain
+from greybox.files import to_plain, withdraw, write_atomic, write_json
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
@@ -27,7 +26,7 @@ from greybox.model.verdict import Verdict
 from greybox.planning.experiment import Manoeuvres
 from greybox.plots import bars
 from greybox.residual.laws.axis import Axis
-from greybox.residual.laws.effect_file import file_name
+from greybox.residual.laws.effect_file import WITH_LAWS, file_name, set_aside_laws
 from greybox.shown import Cell, Shown
 from greybox.validation.gap import GapRow
 
@@ -235,3 +234,23 @@ class Discovery(Shown):
     def summary(self) -> str:
         """The verdict in words, most important first."""
         return in_words(self)
+
+
+def write_found(
+    found: Discovery, folder: str | os.PathLike[str], content: document.DiscoveryDocument
+) -> Path:
+    """As `Discovery.save`, with this `content` of discovery.json, which comes last and is alone
+    where bad data stopped the search. Laws of an earlier one are set aside."""
+    out = Path(folder)
+    if found.fit is not None:
+        found.model.save(out / "model.json")
+        laws = found.proposals()
+        set_aside_laws(out, laws)
+        for name, text in laws.items():
+            write_atomic(out / name, text)
+        if found.lawful is not None:
+            found.lawful.save(out / WITH_LAWS)
+        else:
+            withdraw(out, WITH_LAWS)
+    write_json(out / "discovery.json", content)
+    return out

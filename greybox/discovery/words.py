@@ -11,11 +11,11 @@ import numpy as np
 from greybox.discovery.cause import LEVELS
 from greybox.discovery.document import Estimate, LeftRow, WorthRow
 from greybox.discovery.evidence import Fitted
-from greybox.discovery.folder import WITH_LAWS
 from greybox.discovery.name import LOG10, NAMED, Name
 from greybox.discovery.own_cause import memory_of
 from greybox.estimation.result import Fit
 from greybox.model.layer import own_parameters
+from greybox.residual.laws.effect_file import WITH_LAWS
 from greybox.shown import Cell
 from greybox.statistics.evidence import FELT
 from greybox.validation.gap import closing, doubt

@@ -31,6 +31,7 @@ from greybox.discovery.name import (
     held,
     impossible,
     judged,
+    out_done,
     separating,
     unneeded,
     verdict_of,
@@ -71,6 +72,8 @@ from greybox.validation.worth import worth
 Progress = Callable[[str, float], None]
 Judged = tuple[list[Name], Fitted]
 """Names, and the structure of what is said."""
+Answer = tuple[list[Name], Fitted, Left]
+"""The same with what is left."""
 
 
 @in_notebooks(progress="share")
@@ -258,7 +261,7 @@ class _Run:
             bar=self.needed,
             minimum_detectable={n: v for n, v in smallest.items() if v},
             faults=tuple(doubt for doubt in doubts if doubt),
-            warnings=tuple(self.warnings),
+            warnings=(*self.warnings, *left.doubts),
             tested_on=() if self.test is None else tuple(self.test.names),
             separating=self._separated(names, at),
             steps=tuple(search.steps),
@@ -270,7 +273,7 @@ class _Run:
             ahead=self.ahead,
         )
 
-    def _answer(self, search: Search, null: Fitted) -> tuple[list[Name], Fitted, Left]:
+    def _answer(self, search: Search, null: Fitted) -> Answer:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
         last = search.run(null)
@@ -298,15 +301,16 @@ class _Run:
         if full := search.crowded_out(at):
             more_said = f"{', '.join(full)} would make the flights likelier, too: --max-effects"
             self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
+        if left.unnamed and left.written is None:
+            names, named, left = self._laws_instead(null, names, named) or (names, named, left)
         doubted = (n for n in names if n.kept and n.status != "trace")
         worse = {n.name for n in doubted if n.worth and n.worth.harms}
         if left.written is not None:
             names = [held(n) for n in names]
             while (fewer := self._beside_laws(names, named, left.written))[1] is not named:
-                said, rest = self.warnings.copy(), self._left(null, fewer[1])
+                rest = self._left(null, fewer[1])
                 if rest.written is None:
-                    self.warnings = said  # the names had said what the laws say
-                    break
+                    break  # the names had said what the laws say
                 (names, named), left = fewer, rest  # even fewer may be needed beside these laws
         elif worse:
             names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
@@ -367,7 +371,7 @@ class _Run:
         at: Fitted,
         names: Sequence[Name] = (),
         left: Left | None = None,
-    ) -> tuple[list[Name], Fitted, Left] | None:
+    ) -> Answer | None:
         """Where a structure is bent, and laws that are `left` do not mend that, what is said of all
         that was in one on the way to it, as the likelihood does not judge what it dropped, either:
         by what it is worth to a model that is fitted by errors ahead, which takes its place. Other
@@ -444,6 +448,21 @@ class _Run:
             return names, bare
         return [stays(n, moved) if n.name in traces & gone else n for n in names], whole
 
+    def _laws_instead(self, null: Fitted, names: list[Name], at: Fitted) -> Answer | None:
+        """Names, structure and what is left with laws in the place of a name of the structure `at`
+        that make the flights clearly likelier: it stood in for them. None where none do."""
+        offered = self.flights.causes
+        for name in sorted(names, key=lambda n: n.certificate.log_e):
+            if name.name not in at.structure or name.status == "trace":
+                continue
+            bare = self.flights.fit(at.structure - {name.name}, [at.known])
+            rest = self._left(null, bare)
+            gain = rest.written.log_evidence - at.log_evidence if rest.written else -np.inf
+            if gain >= self.bar:
+                return [out_done(n, gain) if n is name else n for n in names], bare, rest
+            self.flights.causes = offered
+        return None
+
     def _beside_laws(self, names: list[Name], at: Fitted, laws: Fitted) -> Judged:
         """Names that fade next to the laws that won and are not needed there are none (they had
         bent), and the structure without them."""
@@ -457,22 +476,21 @@ class _Run:
         return names, self.flights.fit(at.structure - gone, [at.known])
 
     def _left(self, null: Fitted, at: Fitted) -> Left:
-        holds, seed = functools.partial(self._holds, null, at), self.options.seed
+        doubts, o = list[str](), self.options
+        holds = functools.partial(self._holds, null, at, doubts)
         try:
-            return left_over(self.flights, at, self.settled(at), self.bar, seed, holds=holds)
+            found = left_over(self.flights, at, self.settled(at), self.bar, o.seed, holds=holds)
         except GreyboxError as error:
-            self.warnings.append(f"what is left could not be looked at: {error}")
-            return Left(axes=())
+            return Left(axes=(), doubts=(f"what is left could not be looked at: {error}",))
+        return replace(found, doubts=tuple(doubts))
 
-    def _holds(self, null: Fitted, at: Fitted, written: Fitted) -> bool:
+    def _holds(self, null: Fitted, at: Fitted, doubts: list[str], written: Fitted) -> bool:
         """Whether laws foretell no worse than the names alone on the flights that judge."""
         grown = outgrown(*(self.held_out(f) for f in (null, at, written)))
         if grown:
             laws = ", ".join(sorted(written.structure - at.structure))
-            self.warnings.append(
-                f"laws were found ({laws}) and are not written: on the flights that judge errors "
-                f"grow with them ({', '.join(grown)})"
-            )
+            said = f"laws were found ({laws}) and are not written: on the flights that judge errors"
+            doubts.append(f"{said} grow with them ({', '.join(grown)})")
         return not grown
 
     def _separated(self, names: Sequence[Name], at: Fitted) -> dict[str, Manoeuvres | None]:

@@ -66,3 +66,44 @@ def test_until_no_name_leaves_beside_the_laws_or_none_win(times: int, stay: list
     names, at = said(times)
     assert names == stay
     assert list(at) == stay
+
+
+def instead(**evidence: float) -> tuple[Any, Any]:
+    """(What is said of drag, wind and lag, of which a law in the place of each has this log
+    evidence where all three have 100; the run)."""
+    flights = SimpleNamespace(causes="offered", fit=lambda names, _: structure(*sorted(names)))
+
+    def left(_null: Any, bare: Any) -> Left:
+        flights.causes = "with laws"
+        (gone,) = {"drag", "wind", "lag"} - set(bare.names)
+        law: Any = SimpleNamespace(log_evidence=evidence.get(gone, -1e9))
+        return Left(axes=(), written=law if gone in evidence else None)
+
+    run: Any = SimpleNamespace(flights=flights, bar=5.0, _left=left)
+    sure = {"drag": 80.0, "wind": 15.0, "lag": 40.0}
+    names = [
+        replace(CERTAIN, name=n, certificate=Certificate(name=n, rivals={(): e}))
+        for n, e in sure.items()
+    ]
+    at: Any = SimpleNamespace(structure=frozenset(sure), known={}, log_evidence=100.0)
+    return _Run._laws_instead(run, structure(), names, at), run
+
+
+def test_a_name_in_whose_place_laws_say_more_stood_in_for_them() -> None:
+    """A drag that is linear in the velocity was a quadratic one in a strong wind: both had a name."""
+    (names, bare, left), run = instead(wind=600.0, drag=900.0)
+    assert [(n.name, n.status) for n in names] == [
+        ("drag", "certified"),
+        ("wind", "not certified"),
+        ("lag", "certified"),
+    ]
+    assert "laws in its place" in names[1].reason
+    assert bare.names == ("drag", "lag")
+    assert left.written is not None
+    assert run.flights.causes == "with laws"
+
+
+def test_laws_that_say_hardly_more_take_no_name() -> None:
+    found, run = instead(wind=104.0)
+    assert found is None
+    assert run.flights.causes == "offered"

@@ -33,6 +33,8 @@ SHORTEST = 0.02
 stay shorter than it."""
 ROUND = 1e-3
 LAW_FILE = re.compile(r"proposal_\d+\.py")
+WITH_LAWS = "model_with_laws.json"
+"""File of the model that has the laws of the leftover as well."""
 SLOT = {"force": "force", "torque": "moment"}
 
 
