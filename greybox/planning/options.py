@@ -9,7 +9,7 @@ from typing import TypedDict, Unpack
 from greybox.estimation.options import chosen
 from greybox.model.effect import Effect
 from greybox.planning.limits import Limits
-from greybox.takes import EFFECTS, Kind, has, taken_fields
+from greybox.takes import COUNT, EFFECTS, POSITIVE, Kind, has, taken_fields
 
 LIMITS = Kind(
     words="Limits",
@@ -83,11 +83,7 @@ class PlanOptions:
     """Seed of random manoeuvres."""
 
     def __post_init__(self) -> None:
-        for name in ("values", "noise"):
-            object.__setattr__(self, name, {} if (v := getattr(self, name)) is None else v)
-        taken_fields(self, effects=EFFECTS, limits=LIMITS)
-        for name in ("values", "noise"):
-            object.__setattr__(self, name, dict(getattr(self, name)))
+        taken_fields(self, effects=EFFECTS, limits=LIMITS, sample_time=POSITIVE, flights=COUNT)
 
     @classmethod
     def of(cls, options: PlanOptions | None, choices: PlanChoices) -> PlanOptions:

@@ -167,14 +167,14 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
         "out takes a path; got IdentifiedModel",
     ),
     "a twin to a number": (lambda: gb.twin(MODEL, out=3), "out takes a path; got 3"),
-    "half a twin": (lambda: gb.twin(MODEL, draws=2.5), "draws takes a whole number; got 2.5"),
+    "half a twin": (lambda: gb.twin(MODEL, draws=2.5), "draws takes a whole number from 0 on; got 2.5"),
     "a window as text": (
         lambda: gb.frf(LONG, ["u1"], ["p"], window="2"),
         "window '2'; expected a positive number of seconds",
     ),
     "a budget in halves": (
         lambda: gb.compare(VEHICLE, DATA, OTHER, budget=2.5),
-        "budget takes a whole number; got 2.5",
+        "budget takes a whole number above zero; got 2.5",
     ),
     "a plan of one limit": (lambda: gb.plan(VEHICLE, limits=3.0), "limits takes Limits; got 3.0"),
     "one target": (lambda: gb.export(MODEL, "out", targets="c"), r"targets=\['c'\]"),
