@@ -285,6 +285,14 @@ INPUT = Kind(
     fits=lambda v: isinstance(v, str) and v in ("command", "speed"),
     error=ModelError,
 )
+FUNCTION = Kind(words="a function", fits=callable)
+FAULTS = Kind(words="a CheckReport", fits=has("ok", "findings"), fix="greybox.check(data, vehicle)")
+RESPONDING = Kind(
+    words="a fitted model: of fit, discover or linear",
+    fits=has("sample_time", "dynamics"),
+    fix="greybox.load('model.json')",
+    error=ModelError,
+)
 TEXT = Kind(words="a text", fits=lambda v: isinstance(v, str))
 NUMBER = Kind(words="a number", fits=is_number)
 NUMBERS = Several(words="a list of numbers", fits=is_number)

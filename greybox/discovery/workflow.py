@@ -60,7 +60,7 @@ from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.residual.attainable import attainable
 from greybox.statistics.betting import bar_of_several
-from greybox.takes import EXECUTOR, FLIGHTS, NAMES, SEARCHED, takes
+from greybox.takes import EXECUTOR, FAULTS, FLIGHTS, FUNCTION, NAMES, SEARCHED, takes
 from greybox.validation.adapt import adaptation
 from greybox.validation.gap import GapRow, HeldOutErrors, outgrown, worsened
 from greybox.validation.judges import Judges
@@ -77,7 +77,7 @@ Judged = tuple[list[Name], Fitted]
 @says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
 @takes(subject=SEARCHED, train=FLIGHTS, test=FLIGHTS, accept=NAMES)
-@takes(executor=EXECUTOR)
+@takes(executor=EXECUTOR, faults=FAULTS, progress=FUNCTION, save=FUNCTION)
 def discover(
     subject: Vehicle | StateSpaceModel,
     train: Dataset,

@@ -24,7 +24,7 @@ from greybox.planning.options import PlanChoices, PlanOptions, left_over, whole_
 from greybox.planning.planning_case import PlanningCase, planning_case
 from greybox.planning.result import Plan, Step
 from greybox.progress import in_notebooks
-from greybox.takes import MODEL, VEHICLE, takes
+from greybox.takes import FUNCTION, MODEL, VEHICLE, takes
 
 ROUNDS, SMALLER = 8, 0.85
 """How often, and by which factor, manoeuvres that break a limit in the whole flight are made
@@ -33,7 +33,7 @@ smaller."""
 
 @in_notebooks(say="say")
 @says_choices(PlanOptions)
-@takes(vehicle=VEHICLE, model=MODEL)
+@takes(vehicle=VEHICLE, model=MODEL, say=FUNCTION)
 def plan(
     vehicle: Vehicle | None = None,
     options: PlanOptions | None = None,

@@ -12,6 +12,7 @@ from greybox.baselines.compare_options import CompareOptions
 from greybox.discovery.options import DiscoverOptions
 from greybox.errors import GreyboxError
 from greybox.estimation.options import FitOptions
+from greybox.linear.fit import LinearSetup
 from greybox.planning.limits import Limits
 from greybox.planning.options import PlanOptions
 from greybox.residual.options import GPOptions, LearnOptions
@@ -27,6 +28,7 @@ RECORDS = (
     GPOptions,
     LearnOptions,
     Limits,
+    LinearSetup,
     PlanOptions,
     ValidateOptions,
 )
