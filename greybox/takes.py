@@ -357,8 +357,15 @@ BY_TYPE: Mapping[str, Kind] = {
     "tuple[int, ...]": WHOLES,
     "tuple[float, ...]": NUMBERS,
     "Mapping[str, float]": VALUES,
+    "tuple[Effect, ...]": OWN_EFFECTS,
+    "IdentifiedModel": MODEL,
+    "Effort": Kind(
+        words="an Effort", fits=is_a("Effort"), fix="greybox.discovery.rules.Effort(tried=6)"
+    ),
 }
 """What a field of a record takes, by its declared type."""
+BY_NAME = {"seed": NATURAL, "adapt": NOT_NEGATIVE}
+"""The same of fields that mean one thing in every record."""
 
 
 def taken_fields(record: DataclassInstance, **kinds: Kind) -> None:
@@ -366,7 +373,7 @@ def taken_fields(record: DataclassInstance, **kinds: Kind) -> None:
     as, or one of `kinds`; None stands for an empty container. Raises `GreyboxError`."""
     for f in fields(record):
         declared = str(f.type).removesuffix(" | None")
-        kind = {"seed": NATURAL, **BY_TYPE, **kinds}
+        kind = {**BY_TYPE, **BY_NAME, **kinds}
         value = getattr(record, f.name)
         if value is None and callable(f.default_factory):
             value = f.default_factory()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from greybox.estimation.options import chosen
-from greybox.takes import COUNT, NOT_NEGATIVE, taken_fields
+from greybox.takes import COUNT, taken_fields
 
 
 class CompareChoices(TypedDict, total=False):
@@ -37,7 +37,7 @@ class CompareOptions:
     """Samples ahead that are listed."""
 
     def __post_init__(self) -> None:
-        taken_fields(self, adapt=NOT_NEGATIVE, budget=COUNT, points=COUNT)
+        taken_fields(self, budget=COUNT, points=COUNT)
 
     @classmethod
     def of(cls, options: CompareOptions | None, choices: CompareChoices) -> CompareOptions:

@@ -10,21 +10,7 @@ from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.options import FitOptions, chosen
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
-from greybox.takes import (
-    MODEL,
-    NATURAL,
-    NOT_NEGATIVE,
-    OWN_EFFECTS,
-    SHARE,
-    Kind,
-    is_a,
-    taken_fields,
-)
-
-EFFORTS = Kind(
-    words="an Effort", fits=is_a("Effort"), fix="greybox.discovery.rules.Effort(tried=6)"
-)
-_RANGES = {"alpha": SHARE, "max_effects": NATURAL, "adapt": NOT_NEGATIVE}
+from greybox.takes import NATURAL, SHARE, taken_fields
 
 
 class DiscoverChoices(TypedDict, total=False):
@@ -78,7 +64,7 @@ class DiscoverOptions:
     """Seed of bootstraps and random halves."""
 
     def __post_init__(self) -> None:
-        taken_fields(self, own=OWN_EFFECTS, since=MODEL, effort=EFFORTS, **_RANGES)
+        taken_fields(self, alpha=SHARE, max_effects=NATURAL)
 
     @classmethod
     def of(cls, options: DiscoverOptions | None, choices: DiscoverChoices) -> DiscoverOptions:

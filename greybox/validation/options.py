@@ -63,7 +63,7 @@ class ValidateOptions:
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
     def __post_init__(self) -> None:
-        taken_fields(self, adapt=NOT_NEGATIVE, every=COUNT, skip=NOT_NEGATIVE, hints=HINTS)
+        taken_fields(self, every=COUNT, skip=NOT_NEGATIVE, hints=HINTS)
 
     @classmethod
     def of(cls, options: ValidateOptions | None, choices: ValidateChoices) -> ValidateOptions:
