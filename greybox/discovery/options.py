@@ -10,6 +10,7 @@ from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.options import FitOptions, chosen
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import NOTHING, Known, since
 from greybox.takes import NATURAL, SHARE, taken_fields
 
 
@@ -74,6 +75,11 @@ class DiscoverOptions:
     def but(self, **choices: Unpack[DiscoverChoices]) -> DiscoverOptions:
         """These options with other `choices`. Raises `UnknownNameError`."""
         return DiscoverOptions.of(self, choices)
+
+    @property
+    def known(self) -> Known:
+        """What is known before new flights."""
+        return NOTHING if self.since is None else since(self.since)
 
     @property
     def of_every_fit(self) -> FitOptions:
