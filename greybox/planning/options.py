@@ -17,6 +17,10 @@ LIMITS = Kind(
     fix="greybox.planning.limits.Limits(box=...)",
 )
 
+LONGEST = 3600.0
+"""Seconds [s] of all flights beyond which a plan is refused: no battery lasts so long, and
+milliseconds that were given for seconds are caught."""
+
 
 def whole_pieces(seconds: float, piece: float) -> int:
     """How many manoeuvres of `piece` [s] fit into `seconds`."""

@@ -8,6 +8,7 @@ import tomllib
 import numpy as np
 import pytest
 
+from greybox.errors import GreyboxError
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import template_text
 from greybox.planning import plan
@@ -96,3 +97,10 @@ def test_manoeuvres_that_cannot_be_flown_after_each_other_are_made_smaller(monke
     assert kept[0][1] == 1.0 and kept[2][1] < 0.5
     assert [a for _, a in kept] == seen[-1]
     assert sum(s.n for f in log.flights for s in f.segments) == 600
+
+
+@pytest.mark.parametrize("seconds", [60_000.0, 1e9, float("inf")])
+def test_milliseconds_are_no_seconds(seconds):
+    """Such a plan was worked on for hours."""
+    with pytest.raises(GreyboxError, match=r"too long a flight; expected .* <= 3600 s"):
+        plan(crazyflie(), seconds=seconds)
