@@ -65,13 +65,7 @@ def plan(
         wish, limits, notes = _hovering(_case(vehicle, model, o), o.limits, o.piece)
         candidates, left_out = _flyable(wish, limits, o.piece, o.seed, o.setpoints_only, say)
         split = _chosen(wish, candidates, count, o.flights, say)
-        whole, log = _kept(wish, limits, split)
-        if smaller := sum(
-            a[1] != b[1] for a, b in zip(sum(split, ()), sum(whole, ()), strict=True)
-        ):
-            _say(
-                say, f"made smaller, for the whole flight to keep the limits: {smaller} of {count}"
-            )
+        split, log = _kept(wish, limits, split, say)
         found = information(wish, log)
         naive = information(wish, _naive(wish, limits, candidates, count * o.piece))
     places = [i for i, n in enumerate(found.names) if n in wish.free]
@@ -79,7 +73,7 @@ def plan(
     return Plan(
         subject=wish,
         limits=limits,
-        flights=whole,
+        flights=split,
         log=log,
         information=found,
         errors=expected,
@@ -224,7 +218,12 @@ def _flyable(
 
 
 def _kept(
-    wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]], *, limited: bool = True
+    wish: PlanningCase,
+    limits: Limits,
+    split: Sequence[Sequence[Step]],
+    say: Callable[[str], None] | None = None,
+    *,
+    limited: bool = True,
 ) -> tuple[tuple[tuple[Step, ...], ...], Dataset]:
     """The flights and their logs. Manoeuvres that cannot be flown where they follow each other, or
     break a limit there (`limited`), are made smaller. Raises `FitError` where that is not enough.
@@ -260,6 +259,9 @@ def _kept(
                 f"flight {k + 1} of the plan saturates the rotors or loses its path",
                 fix="smaller --speed or --tilt; another --piece",
             )
+    less = sum(a != b for was, now in zip(split, smaller) for (_, a), (_, b) in zip(was, now))
+    if less:
+        _say(say, f"made smaller, for the whole flight to keep the limits: {less} manoeuvre(s)")
     return smaller, log
 
 
