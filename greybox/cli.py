@@ -14,8 +14,8 @@ import importlib
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TextIO
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Any, NoReturn, TextIO
 
 COMMANDS = (
     "identify",
@@ -51,9 +51,52 @@ def _version() -> str:
     return f"greybox {VERSION}"
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, said by the command that was meant; the options `before`
+    stand before that command."""
+
+    before: Collection[str] = ()
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """As of its base; but what is left over is an error here, not of the outermost parser."""
+        known, left = super().parse_known_args(args, namespace)
+        if left:
+            self._left_over(left[0])
+        return known, left
+
+    def error(self, message: str) -> NoReturn:
+        """End with exit code 2 and one line."""
+        from greybox.errors import GreyboxError
+
+        self._end(GreyboxError(message, fix=f"{self.prog} --help"))
+
+    def _left_over(self, word: str) -> NoReturn:
+        from greybox.errors import GreyboxError, UnknownNameError
+
+        options = {o: a for o, a in self._option_string_actions.items() if o.startswith("--")}
+        if word in self.before:
+            fix = f"greybox {word} {self.prog.partition(' ')[2]} ..."
+            self._end(GreyboxError(f"{word} stands before the command", fix=fix))
+        if word.startswith("-"):
+            self._end(UnknownNameError("option", word.partition("=")[0], options))
+        kind = os.path.splitext(word)[1]
+        takers = [
+            o
+            for o, action in options.items()
+            if kind and str(action.metavar).partition(":")[0].endswith(kind)
+        ] or [o for o, action in options.items() if action.metavar == "LOG"]
+        fix = ", ".join(f"{o} {word}" for o in takers) or f"{self.prog} --help"
+        self._end(GreyboxError(f"no option says what {word} is", fix=fix))
+
+    def _end(self, error: Exception) -> NoReturn:
+        self.exit(2, f"{self.prog}: {error}\n")
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The argument parser with all commands."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="greybox",
         description="From flight logs to a model that a controller trusts.",
         epilog="Exit codes: 0 done; 1 done, and the answer is no (blocking faults, a model that is "
@@ -72,6 +115,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in COMMANDS:
         importlib.import_module(f"greybox.commands.{name}").add(commands)
+        commands.choices[name].before = parser._option_string_actions
     return parser
 
 

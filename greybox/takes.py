@@ -60,6 +60,7 @@ class Kind:
     def taken(self, name: str, value: object) -> object:
         """The value, read from its file where it is a path. Raises `GreyboxError` for what it is
         not."""
+        value = scalar(value)
         if self.read and isinstance(value, str | os.PathLike):
             module, function = self.read.split(":")
             return getattr(importlib.import_module(module), function)(value)
@@ -70,15 +71,18 @@ class Kind:
 
 @dataclass(frozen=True, kw_only=True)
 class Several(Kind):
-    """An iterable of what `fits`; a single text is none, as its letters would be taken for it."""
+    """An iterable of what `fits`, `count` of them where it is said; a single text is none, as its
+    letters would be taken for it."""
 
     one_is_enough: bool = False
+    count: int | None = None
 
     def taken(self, name: str, value: object) -> object:
         """The elements as a tuple."""
+        value = scalar(value)
         if self.one_is_enough and self.fits(value):
             return (value,)
-        single = isinstance(value, str | os.PathLike | numbers.Number)
+        single = isinstance(value, str | bytes | os.PathLike | numbers.Number)
         fix = self.fix
         if isinstance(value, str) and self.fits(value):
             fix = fix or f"{name}={[word.strip() for word in value.split(',')]}"
@@ -88,13 +92,43 @@ class Several(Kind):
         # meant: fixed={"mass": 0.03} held another mass.
         if single or not isinstance(value, Iterable) or isinstance(value, Mapping | _Framed):
             raise self.error(f"{name} takes {self.words}", got=shown(value), fix=fix or None)
-        elements = tuple(value)
+        elements = tuple(scalar(element) for element in value)
         for element in elements:
             if not self.fits(element):
                 raise self.error(
                     f"{name} takes {self.words}", got=f"{shown(element)} in it", fix=fix or None
                 )
+        if self.count not in (None, len(elements)):
+            raise self.error(f"{name} takes {self.words}", got=f"{len(elements)} of them")
         return elements
+
+
+@runtime_checkable
+class _OneNumber(Protocol):
+    """An array of NumPy or PyTorch, which may have no dimension."""
+
+    ndim: int
+
+    def item(self) -> object:
+        """Its only element as it is in Python."""
+
+
+def scalar(value: object) -> object:
+    """The number that an array without dimensions holds; anything else as it is."""
+    if isinstance(value, numbers.Number) or not isinstance(value, _OneNumber):
+        return value
+    return value.item() if value.ndim == 0 else value
+
+
+@dataclass(frozen=True, kw_only=True)
+class ByName(Kind):
+    """Values by name, as a dict of their own."""
+
+    def taken(self, name: str, value: object) -> object:
+        """The names with their values."""
+        if isinstance(value, Named):
+            value = {n: scalar(v) for n, v in value.items()}
+        return super().taken(name, value)
 
 
 def shown(value: object) -> str:
@@ -251,23 +285,31 @@ INPUT = Kind(
     fits=lambda v: isinstance(v, str) and v in ("command", "speed"),
     error=ModelError,
 )
+FUNCTION = Kind(words="a function", fits=callable)
+FAULTS = Kind(words="a CheckReport", fits=has("ok", "findings"), fix="greybox.check(data, vehicle)")
+RESPONDING = Kind(
+    words="a fitted model: of fit, discover or linear",
+    fits=has("sample_time", "dynamics"),
+    fix="greybox.load('model.json')",
+    error=ModelError,
+)
 TEXT = Kind(words="a text", fits=lambda v: isinstance(v, str))
 NUMBER = Kind(words="a number", fits=is_number)
 NUMBERS = Several(words="a list of numbers", fits=is_number)
-VALUES = Kind(words="names with numbers: {'mass': 0.03}", fits=are_numbers, error=GreyboxError)
+VALUES = ByName(words="names with numbers: {'mass': 0.03}", fits=are_numbers, error=GreyboxError)
 WHOLE = Kind(words="a whole number", fits=is_whole, error=GreyboxError)
 FLAG = Kind(words="True or False", fits=is_flag, error=GreyboxError)
-COUNT = Kind(
-    words="a whole number above zero",
-    fits=lambda v: is_number(v) and int(v) == v and v > 0,
-)
-SEED = Kind(
-    words="a whole number from 0 on",
-    fits=lambda v: isinstance(v, numbers.Integral) and is_number(v) and int(v) >= 0,
-)
+WHOLES = Several(words="a list of whole numbers", fits=is_whole, error=GreyboxError)
+COUNT = Kind(words="a whole number above zero", fits=lambda v: is_whole(v) and v > 0)
+NATURAL = Kind(words="a whole number from 0 on", fits=lambda v: is_whole(v) and v >= 0)
 POSITIVE = Kind(words="a number above zero", fits=lambda v: is_number(v) and v > 0)
 NOT_NEGATIVE = Kind(words="a number, zero or above", fits=lambda v: is_number(v) and v >= 0)
 SHARE = Kind(words="a number between 0 and 1", fits=lambda v: is_number(v) and 0 < v < 1)
+
+
+def numbers_of(count: int) -> Kind:
+    """What takes `count` numbers."""
+    return Several(words=f"{count} numbers", fits=is_number, count=count)
 
 
 def takes(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -312,17 +354,29 @@ BY_TYPE: Mapping[str, Kind] = {
     "float": Kind(words="a number", fits=_is_real, error=GreyboxError),
     "str": Kind(words="a text", fits=TEXT.fits, error=GreyboxError),
     "tuple[str, ...]": NAMES,
+    "tuple[int, ...]": WHOLES,
+    "tuple[float, ...]": NUMBERS,
     "Mapping[str, float]": VALUES,
+    "tuple[Effect, ...]": OWN_EFFECTS,
+    "IdentifiedModel": MODEL,
+    "Effort": Kind(
+        words="an Effort", fits=is_a("Effort"), fix="greybox.discovery.rules.Effort(tried=6)"
+    ),
 }
 """What a field of a record takes, by its declared type."""
+BY_NAME = {"seed": NATURAL, "adapt": NOT_NEGATIVE}
+"""The same of fields that mean one thing in every record."""
 
 
 def taken_fields(record: DataclassInstance, **kinds: Kind) -> None:
     """For the `__post_init__` of a frozen record of options: every field holds what it is declared
-    as, or one of `kinds`. Other types are left to their record. Raises `GreyboxError`."""
+    as, or one of `kinds`; None stands for an empty container. Raises `GreyboxError`."""
     for f in fields(record):
         declared = str(f.type).removesuffix(" | None")
-        kind = {"seed": SEED, **kinds}.get(f.name) or BY_TYPE.get(declared)
+        kind = {**BY_TYPE, **BY_NAME, **kinds}
         value = getattr(record, f.name)
-        if kind is not None and not (value is None and declared != f.type):
-            object.__setattr__(record, f.name, kind.taken(f.name, value))
+        if value is None and callable(f.default_factory):
+            value = f.default_factory()
+        if not (value is None and declared != f.type):
+            value = (kind.get(f.name) or kind[declared]).taken(f.name, value)
+        object.__setattr__(record, f.name, value)

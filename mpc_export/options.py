@@ -8,7 +8,7 @@ from typing import Literal, TypedDict
 
 from greybox.errors import UnknownNameError
 from greybox.estimation.options import chosen
-from greybox.takes import taken_fields
+from greybox.takes import COUNT, POSITIVE, Kind, taken_fields
 from mpc_export.targets import TARGETS as ADDED
 
 FORMS = ("c", "casadi")
@@ -16,6 +16,9 @@ FORMS = ("c", "casadi")
 TARGETS = (*FORMS, *ADDED)
 """Those that `mpc_export.targets` adds come after the two that the bundle itself writes."""
 Real = Literal["double", "float"]
+REAL = Kind(
+    words='"double" or "float"', fits=lambda v: isinstance(v, str) and v in ("double", "float")
+)
 
 
 class ExportChoices(TypedDict, total=False):
@@ -66,7 +69,7 @@ class ExportOptions:
     """Whether a model is written although flights judged it not usable."""
 
     def __post_init__(self) -> None:
-        taken_fields(self)
+        taken_fields(self, real=REAL, dt=POSITIVE, points=COUNT, horizon=COUNT, attempts=COUNT)
 
     @classmethod
     def of(cls, options: ExportOptions | None, choices: ExportChoices) -> ExportOptions:

@@ -27,7 +27,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.known import demand_known
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
-from greybox.takes import FLIGHTS, MODEL, NAMES, SUBJECT, takes
+from greybox.takes import FLIGHTS, FUNCTION, MODEL, NAMES, SUBJECT, takes
 from greybox.validation.calibration import calibrated
 from greybox.validation.validate import validate
 
@@ -39,6 +39,7 @@ def _quiet(text: str) -> None:
 @in_notebooks(progress="solver", say="say")
 @says_choices(FitOptions)
 @takes(subject=SUBJECT, data=FLIGHTS, test=FLIGHTS, source=MODEL, accept=NAMES)
+@takes(progress=FUNCTION, say=FUNCTION)
 def fit(
     subject: Vehicle | Dynamics,
     data: Dataset | Flight,

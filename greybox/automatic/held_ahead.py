@@ -9,8 +9,7 @@ are worth.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,11 +23,15 @@ from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import fit
 from greybox.estimation.laplace import at_bound, free_information
 from greybox.estimation.options import FitChoices, FitOptions
+from greybox.estimation.other_scales import on_other_scales
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
+from greybox.model.known import NOTHING, Known
 from greybox.model.model import PhysicsModel
 from greybox.validation.judges import Judges
 from greybox.validation.worth import Span, Worth, clearly, seconds, worth
+
+UNABLE = "names rest on the likelihood alone: nothing can be fitted by errors ahead ({})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,19 +59,24 @@ def held_ahead(
     *,
     fixed: Sequence[str] = (),
     per_flight: Sequence[str] = (),
+    known: Known = NOTHING,
     say: Say = lambda text: None,
+    unable: Say = lambda text: None,
 ) -> HeldAhead | None:
     """The effects of `model` fitted to `data` by errors ahead, without those of the `asked` that
     these do not need, `most` at most, and what the others are worth `span` [s] ahead on flights
     that judge.
 
-    What is `fixed` and `per_flight` (none: decided) holds for all fits that have it. None where
-    nothing can be fitted. Raises `DataError`, `ModelError`.
+    What is `fixed` and `per_flight` (none: decided) holds for all fits that have it, and what is
+    `known` of the craft goes before its file. None where nothing can be fitted, which `unable` is
+    told. Raises `DataError`, `ModelError`.
     """
     there = {d.name for d in model.parameters}
-    held, own = ([n for n in names if n in there] for names in (fixed, per_flight))
+    every = (*fixed, *known.held)
+    held, own = ([n for n in names if n in there] for names in (every, per_flight))
     choices = FitChoices(fixed=held) if held else FitChoices()
     choices |= FitChoices(per_flight=own) if own else FitChoices()
+    choices |= _as_known(known, there)
     race = _Race(
         model=model,
         prepared=prepare(
@@ -84,9 +92,22 @@ def held_ahead(
         choices=choices,
         price=float(np.log(len(asked))),
     )
-    with contextlib.suppress(FitError):
-        return _raced(race, list(asked), most, say)
-    return None
+    try:
+        raced = _raced(race, list(asked), most, say)
+        return replace(raced, fit=on_other_scales(raced.fit, known.untold))
+    except FitError as error:
+        unable(UNABLE.format(error))
+        return None
+
+
+def _as_known(known: Known, there: Collection[str]) -> FitChoices:
+    """What is known of parameters that are `there`, as choices of a fit; none for nothing."""
+    priors = {n: p for n, p in known.prior.items() if n in there}
+    held = {n: v for n, v in known.held.items() if n in there}
+    if not priors and not held:
+        return FitChoices()
+    values = {n: mean for n, (mean, _) in priors.items()} | held
+    return FitChoices(values=values, priors=priors, flight_priors=priors)
 
 
 def _raced(race: _Race, asked: list[str], most: int, say: Say) -> HeldAhead:
@@ -146,12 +167,14 @@ def is_bent(
     span: Span,
     least: float,
     lawful: IdentifiedModel | None = None,
+    known: Known = NOTHING,
+    unable: Say = lambda text: None,
 ) -> bool:
     """Whether the likelihood of `data`, which a fit was found by, bends its model: fitted by errors
     ahead the same model foretells flights that judge clearly better, and by the `least` share of
     the squared error on average, `span` [s] ahead. So nobody believes that these effects and gusts
     made the flights. `lawful` is the model of a fit with laws beside, which then has to foretell as
-    well."""
+    well; `known` is what was known before. Not where nothing can be fitted, which `unable` is told."""
     model = found.model
     options = FitOptions(
         predictor="multi-step",
@@ -159,10 +182,11 @@ def is_bent(
         free=tuple(found.parameters),
         per_flight=tuple(n for n, e in found.parameters.items() if e.scope != "shared"),
         initialisation="nominal",
-    )
+    ).but(**_as_known(known, found.parameters))
     try:
         ahead = fit(model.dynamics, data, continued(options, found)).model
-    except GreyboxError:
+    except GreyboxError as error:
+        unable(UNABLE.format(error))
         return False
     old, new = judges.errors(lawful or model), judges.errors(ahead)
     gains = np.zeros(0) if old is None or new is None else seconds(old, new, span)

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from greybox.estimation.options import chosen
-from greybox.takes import Several, is_whole, taken_fields
-
-SAMPLES = Several(words="a list of whole numbers of samples", fits=is_whole)
+from greybox.takes import COUNT, taken_fields
 
 
 class CompareChoices(TypedDict, total=False):
@@ -39,7 +37,7 @@ class CompareOptions:
     """Samples ahead that are listed."""
 
     def __post_init__(self) -> None:
-        taken_fields(self, horizons=SAMPLES)
+        taken_fields(self, budget=COUNT, points=COUNT)
 
     @classmethod
     def of(cls, options: CompareOptions | None, choices: CompareChoices) -> CompareOptions:

@@ -11,7 +11,22 @@ from typing import TYPE_CHECKING, Unpack
 from greybox.baselines.compare_options import CompareChoices, CompareOptions
 from greybox.estimation.options import says_choices
 from greybox.progress import in_notebooks
-from greybox.takes import FIT, FLIGHTS, NAMES, OWN_EFFECTS, OWN_SENSORS, PATH, VEHICLE, takes
+from greybox.takes import (
+    FIT,
+    FLIGHTS,
+    FUNCTION,
+    NAMES,
+    NUMBERS,
+    OWN_EFFECTS,
+    OWN_SENSORS,
+    PATH,
+    RESPONDING,
+    SHARE,
+    TEXT,
+    VEHICLE,
+    numbers_of,
+    takes,
+)
 
 if TYPE_CHECKING:
     from greybox.baselines.document import CompareDocument
@@ -75,6 +90,7 @@ def export(
 @in_notebooks(say="say")
 @says_choices(CompareOptions)
 @takes(vehicle=VEHICLE, train=FLIGHTS, test=FLIGHTS, methods=NAMES, accept=NAMES)
+@takes(fit=FUNCTION, say=FUNCTION)
 def compare(
     vehicle: Vehicle,
     train: Dataset,
@@ -119,7 +135,7 @@ def compare(
     return list(run(bench, methods))[-1]
 
 
-@takes(fit=FIT)
+@takes(fit=FIT, name=TEXT, flight=TEXT, grid=NUMBERS, level=SHARE)
 def profile(
     fit: Fit,
     name: str,
@@ -146,6 +162,7 @@ def profile(
 
 
 @takes(data=FLIGHTS, inputs=NAMES, outputs=NAMES, references=NAMES, vehicle=VEHICLE)
+@takes(band=numbers_of(2), model=RESPONDING)
 def frf(
     data: Dataset,
     inputs: Sequence[str],

@@ -10,7 +10,8 @@ from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.options import FitOptions, chosen
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
-from greybox.takes import OWN_EFFECTS, taken_fields
+from greybox.model.known import NOTHING, Known, since
+from greybox.takes import NATURAL, SHARE, taken_fields
 
 
 class DiscoverChoices(TypedDict, total=False):
@@ -64,7 +65,7 @@ class DiscoverOptions:
     """Seed of bootstraps and random halves."""
 
     def __post_init__(self) -> None:
-        taken_fields(self, own=OWN_EFFECTS)
+        taken_fields(self, alpha=SHARE, max_effects=NATURAL)
 
     @classmethod
     def of(cls, options: DiscoverOptions | None, choices: DiscoverChoices) -> DiscoverOptions:
@@ -74,6 +75,11 @@ class DiscoverOptions:
     def but(self, **choices: Unpack[DiscoverChoices]) -> DiscoverOptions:
         """These options with other `choices`. Raises `UnknownNameError`."""
         return DiscoverOptions.of(self, choices)
+
+    @property
+    def known(self) -> Known:
+        """What is known before new flights."""
+        return NOTHING if self.since is None else since(self.since)
 
     @property
     def of_every_fit(self) -> FitOptions:

@@ -103,8 +103,6 @@ class Search:
         moves: list[Move] = [(s, [at.known]) for s in wanted if self._new(at, s, True)]
         return self._best(at, self._fits(at, moves))
 
-    # ---------------------------------------------------------------- moves
-
     def _add(self, at: Fitted) -> Fitted | None:
         """The structure with one cause or several more, noise of sensors among them."""
         scores = self._scored(at)
@@ -265,8 +263,6 @@ class Search:
         if self.scores is None or self.scores.at is not at:
             self.scores = scored(self.flights, at)
         return self.scores
-
-    # ---------------------------------------------------------------- fits
 
     def _fits(self, at: Fitted, moves: list[Move], others: Sequence[Fitted] = ()) -> list[Fitted]:
         """Fits of moves from `at`, held against the likeliest of `others`. What adds and gains

@@ -52,7 +52,7 @@ from greybox.estimation.record import sample_time
 from greybox.journal import spared
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.faults import faults_of
-from greybox.model.known import NOTHING, demand_known, since
+from greybox.model.known import demand_known
 from greybox.model.layer import physics_of
 from greybox.model.noise_free import as_measured
 from greybox.model.vehicle import Vehicle
@@ -61,7 +61,7 @@ from greybox.planning.experiment import Manoeuvres
 from greybox.progress import in_notebooks, onward
 from greybox.residual.attainable import attainable
 from greybox.statistics.betting import bar_of_several
-from greybox.takes import EXECUTOR, FLIGHTS, MODEL, NAMES, SEARCHED, SHARE, takes
+from greybox.takes import EXECUTOR, FAULTS, FLIGHTS, FUNCTION, NAMES, SEARCHED, takes
 from greybox.validation.adapt import adaptation
 from greybox.validation.gap import GapRow, HeldOutErrors, outgrown, worsened
 from greybox.validation.judges import Judges
@@ -79,8 +79,8 @@ Answer = tuple[list[Name], Fitted, Left]
 @in_notebooks(progress="share")
 @says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
-@takes(subject=SEARCHED, train=FLIGHTS, test=FLIGHTS, accept=NAMES, since=MODEL, alpha=SHARE)
-@takes(executor=EXECUTOR)
+@takes(subject=SEARCHED, train=FLIGHTS, test=FLIGHTS, accept=NAMES)
+@takes(executor=EXECUTOR, faults=FAULTS, progress=FUNCTION, save=FUNCTION)
 def discover(
     subject: Vehicle | StateSpaceModel,
     train: Dataset,
@@ -145,8 +145,7 @@ def discover(
 
 def _as_in_a_fit(o: DiscoverOptions, faults: CheckReport, test: Dataset | None) -> DiscoverOptions:
     """Noise between attitude and gyro, and adaptation, where open, as the automatic fit has them."""
-    old = None if o.since is None else o.since.physics.kinematic_noise
-    loose = faults.loose if old is None else old
+    loose = faults.loose if o.since is None else o.since.physics.kinematic_noise
     noise = loose if o.kinematic_noise is None else o.kinematic_noise
     return o.but(kinematic_noise=noise, adapt=adaptation(test or (), o.adapt))
 
@@ -156,7 +155,6 @@ def _offered(
 ) -> Causes:
     """The causes on offer."""
     causes: Causes
-    known = NOTHING if options.since is None else since(options.since)
     if isinstance(subject, Vehicle):
         causes = offer(
             subject,
@@ -167,7 +165,7 @@ def _offered(
             kinematic_noise=bool(options.kinematic_noise),
             fixed=options.fixed,
             per_flight=options.per_flight,
-            known=known,
+            known=options.known,
         )
     else:
         if options.own or options.kinematic_noise:
@@ -176,8 +174,8 @@ def _offered(
                 got=f"the model {subject.name} of your own",
                 fix="declare an effect in the model: a parameter with a null",
             )
-        own, held = options.per_flight, options.fixed
-        causes = offer_own(subject, fixed=held, per_flight=own, known=known)
+        own, known = options.per_flight, options.known
+        causes = offer_own(subject, fixed=options.fixed, per_flight=own, known=known)
     declared = [d.name for d in causes.model.parameters]
     if wrong := {*options.per_flight, *options.fixed} - set(declared):
         raise UnknownNameError("parameter", min(wrong), declared)
@@ -214,6 +212,7 @@ class _Run:
     """Log e-value that each of the names found needs, see `bar_of_several`."""
     ahead: bool = False
     unchanged: str = ""
+    unfitted: list[str] = field(default_factory=list)
     last: Fitted | None = None
     """Where nothing has changed: what is said, and what flights are likelier with."""
     _settled: dict[Fitted, Fit] = field(default_factory=dict)
@@ -261,7 +260,7 @@ class _Run:
             bar=self.needed,
             minimum_detectable={n: v for n, v in smallest.items() if v},
             faults=tuple(doubt for doubt in doubts if doubt),
-            warnings=(*self.warnings, *left.doubts),
+            warnings=(*self.warnings, *left.doubts, *dict.fromkeys(self.unfitted)),
             tested_on=() if self.test is None else tuple(self.test.names),
             separating=self._separated(names, at),
             steps=tuple(search.steps),
@@ -276,12 +275,12 @@ class _Run:
     def _answer(self, search: Search, null: Fitted) -> Answer:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
-        last = search.run(null)
-        then = self.then
+        last, then = search.run(null), self.then
+        said_ahead = self._by_errors_ahead(search, null, last)
         if then and (line := then.unchanged(self.held_out(last), search.added(last), RULES.span)):
-            self.unchanged, self.last, self.needed = line, last, self.bar
+            self.unchanged, self.last, self.needed, self.ahead = line, last, self.bar, False
             return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
-        if said_ahead := self._by_errors_ahead(search, null, last):
+        if said_ahead:
             return said_ahead
         if not then:  # the likelihood judges, beside laws if not alone: all swaps count
             search.hopeless = lambda _at, _asked: False
@@ -357,11 +356,10 @@ class _Run:
 
     def bent(self, at: Fitted, lawful: Fitted | None = None) -> bool:
         """Whether the likelihood is no judge of names of a vehicle, see `is_bent`, asked once."""
-        own = self.options.since is None and physics_of(self.settled(at).model.dynamics)
-        if own and (at, lawful) not in self._bent:
+        if (at, lawful) not in self._bent and physics_of(self.settled(at).model.dynamics):
             laws = self.settled(lawful).model if lawful else None
             asked = self.settled(at), self.flights.data, self.judges, RULES.span, RULES.law, laws
-            self._bent[at, lawful] = is_bent(*asked)
+            self._bent[at, lawful] = is_bent(*asked, self.options.known, self.unfitted.append)
         return self._bent.get((at, lawful), False)
 
     def _by_errors_ahead(
@@ -390,9 +388,9 @@ class _Run:
             self.say(text, 0.6 + 0.3 * min(next(done) / len(asked), 3) / 3)
 
         physics = physics_of(self.flights.causes.built(at.structure | search.taken))
-        fits = functools.partial(held_ahead, fixed=o.fixed, per_flight=o.per_flight, say=say)
-        given = asked, self.flights.data, self.judges, RULES.span, o.max_effects
-        race = None if physics is None else fits(physics, *given)
+        fits = functools.partial(held_ahead, fixed=o.fixed, per_flight=o.per_flight, known=o.known)
+        given, unable = (self.flights.data, self.judges, RULES.span, o.max_effects), self.unfitted
+        race = fits(physics, asked, *given, say=say, unable=unable.append) if physics else None
         if race is None:
             return None
         self._settled[at], self.ahead, self.needed = race.fit, True, self.bar
@@ -452,9 +450,8 @@ class _Run:
         """Names, structure and what is left with laws in the place of a name of the structure `at`
         that make the flights clearly likelier: it stood in for them. None where none do."""
         offered = self.flights.causes
-        for name in sorted(names, key=lambda n: n.certificate.log_e):
-            if name.name not in at.structure or name.status == "trace":
-                continue
+        asked = [n for n in names if n.name in at.structure and n.status != "trace"]
+        for name in sorted(asked, key=lambda n: n.certificate.log_e):
             bare = self.flights.fit(at.structure - {name.name}, [at.known])
             rest = self._left(null, bare)
             gain = rest.written.log_evidence - at.log_evidence if rest.written else -np.inf

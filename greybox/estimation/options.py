@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal, TypedDict, TypeVar, Unpack
 
-from greybox.errors import GreyboxError, UnknownNameError
+from greybox.errors import GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.criterion import Criterion
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.prior import Prior, demand_priors
 from greybox.estimation.solver import Solver
-from greybox.takes import FLAG, Kind, has, shown, taken_fields
+from greybox.takes import COUNT, FLAG, ByName, Kind, Named, has, shown, taken_fields
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -33,7 +33,16 @@ def _name_or(*attributes: str) -> Callable[[object], bool]:
     return lambda value: isinstance(value, str) or made(value)
 
 
+_PRIORS = ByName(
+    words="names with (mean, sigma)",
+    fits=lambda v: isinstance(v, Named),
+    fix="{'motor_lag.tau': (0.03, 0.01)}",
+    error=ModelError,
+)
 _KINDS = {
+    "priors": _PRIORS,
+    "flight_priors": _PRIORS,
+    "starts": COUNT,
     "predictor": Kind(words="a name, or a predictor", fits=_name_or("has_noise", "blocks")),
     "criterion": Kind(words="a name, or a criterion", fits=_name_or("evaluate")),
     "solver": Kind(words="a name, or a solver", fits=_name_or("solve")),
@@ -154,14 +163,9 @@ class FitOptions:
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
     def __post_init__(self) -> None:
-        for name in ("values", "priors", "flight_priors", "noise"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, {})
         taken_fields(self, **_KINDS)
         for name in ("priors", "flight_priors"):
             demand_priors(name, getattr(self, name))
-        for name in ("values", "priors", "flight_priors", "noise"):
-            object.__setattr__(self, name, dict(getattr(self, name)))
 
     @classmethod
     def of(cls, options: FitOptions | None, choices: FitChoices) -> FitOptions:

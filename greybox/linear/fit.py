@@ -24,10 +24,25 @@ from greybox.model.matrices import spectral_radius
 from greybox.shown import Cell, Shown
 from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import FloatArray, Layout, Signal
-from greybox.takes import RECORDS, takes
+from greybox.takes import (
+    COUNT,
+    POSITIVE,
+    RECORDS,
+    TEXT,
+    Kind,
+    Several,
+    is_whole,
+    taken_fields,
+    takes,
+)
 
 __all__ = ["LinearFit", "Options", "Record", "Settings", "fit_linear"]
 
+ORDER = Kind(
+    words='a whole number above zero, or "auto"',
+    fits=lambda v: v == "auto" if isinstance(v, str) else COUNT.fits(v),
+)
+DELAYS = Several(words='"auto" or a list of one whole number per input', fits=is_whole)
 SOLVERS = ("gauss-newton", "ipopt")
 
 
@@ -146,9 +161,9 @@ class LinearSetup:
 
     dt: float = 1.0
     """Sample time [s]."""
-    inputs: Sequence[str | Signal] | None = None
+    inputs: tuple[str | Signal, ...] | None = None
     """Names of the input columns; None: u1, u2, ..."""
-    outputs: Sequence[str | Signal] | None = None
+    outputs: tuple[str | Signal, ...] | None = None
     """Names of the output columns; None: y1, y2, ..."""
     delays: Sequence[int] | str | None = None
     """Whole samples per input, or "auto" (see `estimate_delays`)."""
@@ -165,9 +180,20 @@ class LinearSetup:
     name: str = "linear"
     """Name of the model."""
 
+    def __post_init__(self) -> None:
+        signals = Several(words="a list of names", fits=lambda v: isinstance(v, str | Signal))
+        taken_fields(
+            self,
+            dt=POSITIVE,
+            inputs=signals,
+            outputs=signals,
+            delays=TEXT if isinstance(self.delays, str) else DELAYS,
+            largest=COUNT,
+        )
+
 
 @says_choices(LinearSetup)
-@takes(records=RECORDS)
+@takes(records=RECORDS, order=ORDER)
 def fit_linear(
     records: Sequence[Record],
     order: int | str = "auto",
@@ -250,8 +276,6 @@ def _found(
     `DataError`."""
     choice: OrderChoice | None = None
     if isinstance(order, str):
-        if order != "auto":
-            raise DataError(f"order '{order}'", expected="'auto' or a whole number")
         choice = choose_order(
             scaled,
             setup.largest,

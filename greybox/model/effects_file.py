@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -65,7 +65,7 @@ def own_effects(effects: Iterable[Effect]) -> dict[str, OwnEffect]:
 
 
 def effects_of(
-    names: Iterable[str], own: Mapping[str, OwnEffect], given: Iterable[Effect], *, where: str
+    names: Sequence[str], own: Mapping[str, OwnEffect], given: Iterable[Effect], *, where: str
 ) -> tuple[Effect, ...]:
     """The effects of a model file by name, those under `own` (see `own_effects`) from the `given`
     ones.
@@ -74,24 +74,13 @@ def effects_of(
     an unknown name.
     """
     have = {e.name: e for e in given}
+    _demand_given({n: own[n]["file"] for n in names if n in own and n not in have}, where)
     found = []
     for name in names:
         if name not in own:
             found.append(effect_by_name(name))
             continue
         file, sha256 = own[name]["file"], own[name]["sha256"]
-        if name not in have:
-            load, option = (
-                (f"load_effects('{file}')", f" or --effects-file {file}")
-                if file
-                else ("[YourEffect()]", "")
-            )
-            raise FileFormatError(
-                f"the model has the effect {name} of {file or 'Python code of your own'}, which it "
-                "does not hold",
-                where=where,
-                fix=f"greybox.load(path, effects={load}){option}",
-            )
         source = have[name].source
         if sha256 is not None and (source is None or source.sha256 != sha256):
             raise FileFormatError(
@@ -105,6 +94,23 @@ def effects_of(
             )
         found.append(have[name])
     return tuple(found)
+
+
+def _demand_given(missing: Mapping[str, object], where: str) -> None:
+    """Raise `FileFormatError` for effects of a model file that are `missing` (name -> file, None for
+    code of the caller's own), with all files that have them: those beside it by their path."""
+    if not missing:
+        return
+    beside = [Path(where).parent / str(f) for f in dict.fromkeys(missing.values()) if f]
+    files = [str(f if f.is_file() else f.name) for f in beside]
+    option = f"--effects-file {' '.join(files)}, in Python " if files else ""
+    load = "load_effects(file) of each" if files else "[YourEffect()]"
+    of = ", ".join(f"{n} ({f or 'Python code of your own'})" for n, f in missing.items())
+    raise FileFormatError(
+        f"the model has effects that it does not hold: {of}",
+        where=where,
+        fix=f"{option}greybox.load(path, effects=...) with {load}",
+    )
 
 
 def _from_text(text: str, path: str) -> tuple[Effect, ...]:

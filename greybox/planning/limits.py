@@ -14,6 +14,7 @@ from greybox.model.vehicle import Vehicle
 from greybox.planning.document import LimitsPart, UsedPart
 from greybox.planning.manoeuvres import TILT
 from greybox.symbolic import BoolArray, FloatArray
+from greybox.takes import numbers_of, taken_fields
 
 OUTSIDE = 0.01
 """Share of the samples in which a command may lie outside its range."""
@@ -35,6 +36,7 @@ class Limits:
     command: tuple[float, float] = (0.0, 1.0)
 
     def __post_init__(self) -> None:
+        taken_fields(self, box=numbers_of(3), command=numbers_of(2))
         for name, value, low, high in (
             ("the box's length", self.box[0], 0.2, 1e4),
             ("the box's width", self.box[1], 0.2, 1e4),

@@ -4,7 +4,8 @@ models apart.
 A manoeuvre is a path (position and yaw against time) and wanted angular accelerations and thrust
 steps on top. A cascade controller with the model's own mass, inertia and rotor maps flies it in
 closed loop (position and velocity to tilt, tilt to angular acceleration; Mahony, Kumar and Corke
-2012, IEEE RAM 19(3), sec. "control"); the result is the noise-free log.
+2012, IEEE RAM 19(3), sec. "control"), trimmed as an autopilot trims; the result is the noise-free
+log.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data import Dataset, dataset_from_arrays
-from greybox.errors import FitError
+from greybox.errors import FitError, ModelError
 from greybox.estimation.engine import engine_for
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
+from greybox.model.linearise import trim
 from greybox.model.sensors import SENSORS
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 SECONDS = 6.0
 TILT = np.radians(35.0)
@@ -198,42 +200,52 @@ def flown(
     return flown_together(model, [(manoeuvre, amplitude)], seconds=seconds)[0]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """How a manoeuvre went: its noise-free log, or None and where (n,) it could not be flown: the
+    rotors at their limits, the path lost."""
+
+    log: Dataset | None
+    failed: BoolArray
+
+
 def flown_together(
     model: IdentifiedModel, flights: Sequence[tuple[Manoeuvre, float]], *, seconds: float = SECONDS
 ) -> list[Dataset | None]:
     """`flown` for many manoeuvres with their amplitudes: all craft go on sample by sample side by
     side."""
-    if not flights:
-        return []
+    return [trial.log for trial in tried_together(model, flights, seconds=seconds)]
+
+
+def tried_together(
+    model: IdentifiedModel, flights: Sequence[tuple[Manoeuvre, float]], *, seconds: float = SECONDS
+) -> list[Trial]:
+    """`flown_together`, and where what is not flown failed."""
     dynamics, dt = model.dynamics, model.sample_time
-    engine = engine_for(dynamics, ())
-    names = dynamics.states.names
-    at = {
-        b: [i for i, n in enumerate(names) if n.split(".")[0] == b]
-        for b in ("position", "velocity", "attitude", "rate")
-    }
-    if not all(at.values()):
-        raise FitError("the model cannot be flown: it has no position or attitude")
     n, m, rotors = round(seconds / dt), len(flights), len(model.physics.vehicle.rotors)
+    failed = np.zeros((m, n), dtype=bool)
+    if not flights or not float(model.values["mass"]) > 0:
+        failed[:, 0] = True
+        return [Trial(log=None, failed=where) for where in failed]
+    engine = engine_for(dynamics, ())
+    at = _places(model)
     columns, width = list(dynamics.inputs.names), engine.past + 1 + engine.future
     course = _Course.of(flights, n, dt)
-    pilot = _Pilot(model)
+    start, hover = _hover(model, columns[:rotors])
+    pilot = _Pilot(model, hover[:rotors])
     u = np.zeros((m, n + width - 1, len(columns)))
     if "vbat" in columns:
         volts = model.reference_inputs[columns.index("vbat")] * course.voltage
         u[:, :, columns.index("vbat")] = np.pad(
             volts, ((0, 0), (engine.past, engine.future)), mode="edge"
         )
-    given = dict(zip(columns, model.reference_inputs.tolist(), strict=True))
-    x = np.tile(np.asarray(dynamics.reference(given), dtype=float), (m, 1))
+    x = np.tile(start, (m, 1))
     x[:, at["position"]] = course.here[:, 0, :3]
-    y, clipped, p = np.zeros((m, n, engine.ny)), np.zeros(m), model.parameter_vector()
-    live = np.arange(m) if float(model.values["mass"]) > 0 else np.arange(0)
+    y, p, live = np.zeros((m, n, engine.ny)), model.parameter_vector(), np.arange(m)
     for k in range(n):
         if not live.size:
             break
-        command, hit = pilot.command(x, at, course, live, k)
-        clipped[live] += hit
+        command, failed[live, k] = pilot.command(x, at, course, live, k)
         # The first command also stands for those before the flight.
         u[live, 0 if k == 0 else k + engine.past : k + width, :rotors] = command[:, None]
         horizon = 2 if k < n - 1 else 1
@@ -251,14 +263,60 @@ def flown_together(
         y[live, k], x = seen[:, 0], states[:, -1]
         away = np.abs(x[:, at["position"]] - course.here[live, k, :3]).max(axis=1)
         kept = np.isfinite(x).all(axis=1) & (away <= LOST)
+        failed[live[~kept], k:] = True
         live, x = live[kept], x[kept]
-    live = live[clipped[live] <= CLIPPED * n]
-    logs: list[Dataset | None] = [None] * m
-    for i in live.tolist():
-        table = dict(zip(columns, u[i, engine.past : engine.past + n].T, strict=True))
-        table |= dict(zip(dynamics.outputs.names, y[i].T, strict=True))
-        logs[i] = dataset_from_arrays(dt * np.arange(n), table, name=flights[i][0].name)
-    return logs
+    lost = np.setdiff1d(np.arange(m), live)
+    return [
+        Trial(log=None, failed=failed[i])
+        if i in lost or failed[i].mean() > CLIPPED
+        else Trial(
+            log=_log(model, u[i, engine.past : engine.past + n], y[i], flights[i][0].name),
+            failed=np.zeros(n, dtype=bool),
+        )
+        for i in range(m)
+    ]
+
+
+def _places(model: IdentifiedModel) -> dict[str, list[int]]:
+    """Where the states that are flown by stand. Raises `FitError` where one is missing."""
+    names = model.dynamics.states.names
+    at = {
+        b: [i for i, n in enumerate(names) if n.split(".")[0] == b]
+        for b in ("position", "velocity", "attitude", "rate")
+    }
+    if not all(at.values()):
+        raise FitError("the model cannot be flown: it has no position or attitude")
+    return at
+
+
+def _log(model: IdentifiedModel, u: FloatArray, y: FloatArray, name: str) -> Dataset:
+    """Inputs (n, n_u) and outputs (n, n_y) as a log."""
+    dynamics = model.dynamics
+    table = dict(zip(dynamics.inputs.names, u.T, strict=True))
+    table |= dict(zip(dynamics.outputs.names, y.T, strict=True))
+    return dataset_from_arrays(model.sample_time * np.arange(len(u)), table, name=name)
+
+
+def _hover(model: IdentifiedModel, rotors: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """(state (n_x,), command (n_u,)) in which the craft hovers, moments of its own balanced; those
+    of the level reference where there is none."""
+    given = dict(zip(model.dynamics.inputs.names, model.reference_inputs.tolist(), strict=True))
+    level = np.asarray(model.dynamics.reference(given), dtype=float)
+    kept = ("d_position.", "d_velocity.", "d_attitude.z")
+    names = model.dynamics.error_states.names
+    try:
+        point = trim(
+            model.dynamics,
+            model.sample_time,
+            values=model.values,
+            start=level,
+            command=model.reference_inputs,
+            fixed_states=[n for n in names if n.startswith(kept)],
+            free_commands=rotors,
+        )
+    except ModelError:
+        return level, model.reference_inputs
+    return point.x, point.u
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,9 +353,10 @@ class _Course:
 
 
 class _Pilot:
-    """The cascade controller of one model, for many craft at once."""
+    """The cascade controller of one model, for many craft at once. What its maps miss at the
+    `hover` command (rotors,) is fed forward."""
 
-    def __init__(self, model: IdentifiedModel) -> None:
+    def __init__(self, model: IdentifiedModel, hover: FloatArray) -> None:
         vehicle, v = model.physics.vehicle, model.values
         self.mass, self.gravity = v["mass"], float(vehicle.gravity)
         self.inertia = np.array([v[f"inertia.{a}{a}"] for a in "xyz"])
@@ -308,6 +367,8 @@ class _Pilot:
         mix = np.stack([np.ones(len(spin)), place[:, 1], -place[:, 0], -lever * spin])
         self.unmix = np.linalg.pinv(mix)
         self.low, self.high = float(vehicle.actuator.u_min), float(vehicle.actuator.u_max)
+        balanced = mix @ (np.vander(hover, 3, increasing=True) @ self.thrust)
+        self.lift, self.moment = balanced[0] / (self.mass * self.gravity), balanced[1:]
 
     def command(
         self,
@@ -343,7 +404,8 @@ class _Pilot:
         rate = -omega
         rate[:, 2] = 0.5 * (velocity[:, 3] - omega[:, 2])
         turning = ATTITUDE * error + RATE * rate + twist[:, :3]
-        force = np.column_stack([thrust, self.inertia * turning]) @ self.unmix.T
+        moment = self.inertia * turning + self.moment
+        force = np.column_stack([self.lift * thrust, moment]) @ self.unmix.T
         c0, c1, c2 = self.thrust
         root = np.sqrt(np.maximum(c1 * c1 - 4 * c2 * (c0 - np.maximum(force, 0.0)), 0.0))
         nu = (root - c1) / (2 * c2) if c2 else (force - c0) / c1

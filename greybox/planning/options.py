@@ -9,13 +9,17 @@ from typing import TypedDict, Unpack
 from greybox.estimation.options import chosen
 from greybox.model.effect import Effect
 from greybox.planning.limits import Limits
-from greybox.takes import EFFECTS, Kind, has, taken_fields
+from greybox.takes import COUNT, EFFECTS, POSITIVE, Kind, has, taken_fields
 
 LIMITS = Kind(
     words="Limits",
     fits=has("box", "floor", "command"),
     fix="greybox.planning.limits.Limits(box=...)",
 )
+
+LONGEST = 3600.0
+"""Seconds [s] of all flights beyond which a plan is refused: no battery lasts so long, and
+milliseconds that were given for seconds are caught."""
 
 
 def whole_pieces(seconds: float, piece: float) -> int:
@@ -83,11 +87,7 @@ class PlanOptions:
     """Seed of random manoeuvres."""
 
     def __post_init__(self) -> None:
-        for name in ("values", "noise"):
-            object.__setattr__(self, name, {} if (v := getattr(self, name)) is None else v)
-        taken_fields(self, effects=EFFECTS, limits=LIMITS)
-        for name in ("values", "noise"):
-            object.__setattr__(self, name, dict(getattr(self, name)))
+        taken_fields(self, effects=EFFECTS, limits=LIMITS, sample_time=POSITIVE, flights=COUNT)
 
     @classmethod
     def of(cls, options: PlanOptions | None, choices: PlanChoices) -> PlanOptions:

@@ -19,12 +19,12 @@ from greybox.model.vehicle import Vehicle
 from greybox.planning.excitation_blocks import Flown, excitation_blocks, fit_in, sequence
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
-from greybox.planning.manoeuvres import flown
-from greybox.planning.options import PlanChoices, PlanOptions, left_over, whole_pieces
+from greybox.planning.manoeuvres import Trial, tried_together
+from greybox.planning.options import LONGEST, PlanChoices, PlanOptions, left_over, whole_pieces
 from greybox.planning.planning_case import PlanningCase, planning_case
 from greybox.planning.result import Plan, Step
 from greybox.progress import in_notebooks
-from greybox.takes import MODEL, VEHICLE, takes
+from greybox.takes import FUNCTION, MODEL, VEHICLE, takes
 
 ROUNDS, SMALLER = 8, 0.85
 """How often, and by which factor, manoeuvres that break a limit in the whole flight are made
@@ -33,7 +33,7 @@ smaller."""
 
 @in_notebooks(say="say")
 @says_choices(PlanOptions)
-@takes(vehicle=VEHICLE, model=MODEL)
+@takes(vehicle=VEHICLE, model=MODEL, say=FUNCTION)
 def plan(
     vehicle: Vehicle | None = None,
     options: PlanOptions | None = None,
@@ -65,7 +65,7 @@ def plan(
         wish, limits, notes = _hovering(_case(vehicle, model, o), o.limits, o.piece)
         candidates, left_out = _flyable(wish, limits, o.piece, o.seed, o.setpoints_only, say)
         split = _chosen(wish, candidates, count, o.flights, say)
-        split, log = _kept(wish, limits, split)
+        split, log = _kept(wish, limits, split, say)
         found = information(wish, log)
         naive = information(wish, _naive(wish, limits, candidates, count * o.piece))
     places = [i for i, n in enumerate(found.names) if n in wish.free]
@@ -122,10 +122,10 @@ def _case(
 def _pieces(o: PlanOptions) -> int:
     """The number of manoeuvres. Raises `GreyboxError` for too short a flight, or too many."""
     seconds, piece, flights = o.seconds, o.piece, o.flights
-    if not (np.isfinite(seconds) and 2.0 <= piece <= seconds):
+    if not 2.0 <= piece <= seconds <= LONGEST:
         raise GreyboxError(
-            "too short a flight",
-            expected="2 s <= --piece <= --seconds",
+            f"too {'long' if seconds > LONGEST else 'short'} a flight",
+            expected=f"2 s <= --piece <= --seconds <= {LONGEST:g} s",
             got=f"{piece:g} s and {seconds:g} s",
             fix="--seconds 60 --piece 5",
         )
@@ -218,10 +218,15 @@ def _flyable(
 
 
 def _kept(
-    wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]
+    wish: PlanningCase,
+    limits: Limits,
+    split: Sequence[Sequence[Step]],
+    say: Callable[[str], None] | None = None,
+    *,
+    limited: bool = True,
 ) -> tuple[tuple[tuple[Step, ...], ...], Dataset]:
-    """The flights and their logs. Manoeuvres that break a limit where they follow each other are
-    made smaller.
+    """The flights and their logs. Manoeuvres that cannot be flown where they follow each other, or
+    break a limit there (`limited`), are made smaller. Raises `FitError` where that is not enough.
 
     What a manoeuvre leaves behind reaches into the next one, so that the one before is made smaller
     as well.
@@ -233,10 +238,13 @@ def _kept(
             tuple((p, a) for (p, _), a in zip(steps, own, strict=True))
             for steps, own in zip(split, sizes, strict=True)
         )
-        log = _fly(wish, limits, smaller)
-        hurt = np.zeros(sum(s.n for f in log.flights for s in f.segments), dtype=bool)
-        for where in limits.breaches(log).values():
-            hurt |= where
+        trials = _flown(wish, limits, smaller)
+        hurt = np.concatenate([t.failed for t in trials])
+        logs = [t.log for t in trials if t.log is not None]
+        if len(logs) == len(trials):
+            log = sum(logs[1:], start=logs[0])
+            for where in limits.breaches(log).values() if limited else ():
+                hurt |= where
         if not hurt.any():
             break
         bad = {int(k) for k in np.flatnonzero(hurt) * wish.sample_time // seconds}
@@ -245,26 +253,28 @@ def _kept(
             for f, k in flat[max(i - 1, 0) : i + 1]:
                 if flat[i][0] == f:
                     sizes[f][k] *= SMALLER
-    return smaller, log
-
-
-def _fly(wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]) -> Dataset:
-    """Noise-free logs of whole flights. Raises `FitError` where one is lost."""
-    logs = []
-    for k, steps in enumerate(split):
-        log = flown(
-            wish.flying,
-            sequence(list(steps), limits, f"flight_{k + 1}"),
-            1.0,
-            seconds=sum(p.seconds for p, _ in steps),
-        )
-        if log is None:
+    for k, t in enumerate(trials):
+        if t.log is None:
             raise FitError(
                 f"flight {k + 1} of the plan saturates the rotors or loses its path",
                 fix="smaller --speed or --tilt; another --piece",
             )
-        logs.append(log)
-    return sum(logs[1:], start=logs[0])
+    less = sum(a != b for was, now in zip(split, smaller) for (_, a), (_, b) in zip(was, now))
+    if less:
+        _say(say, f"made smaller, for the whole flight to keep the limits: {less} manoeuvre(s)")
+    return smaller, log
+
+
+def _flown(wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]) -> list[Trial]:
+    """How whole flights go, without noise."""
+    return [
+        tried_together(
+            wish.flying,
+            [(sequence(list(steps), limits, f"flight_{k + 1}"), 1.0)],
+            seconds=sum(p.seconds for p, _ in steps),
+        )[0]
+        for k, steps in enumerate(split)
+    ]
 
 
 def _naive(
@@ -279,4 +289,4 @@ def _naive(
     steps = [(candidates["hover"].piece, 1.0)] * ((n + 1) // 2) + [
         (eight.piece, eight.amplitude)
     ] * (n // 2)
-    return _fly(wish, limits, [steps])
+    return _kept(wish, limits, [steps], limited=False)[1]

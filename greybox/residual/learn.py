@@ -51,7 +51,7 @@ from greybox.residual.training_report import TrainingDocument
 from greybox.residual.training_rows import LEAST
 from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
-from greybox.takes import FLIGHTS, MODEL, NAMES, takes
+from greybox.takes import FLIGHTS, FUNCTION, MODEL, NAMES, takes
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
@@ -238,7 +238,7 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
 
 @in_notebooks(progress="share")
 @says_choices(LearnOptions)
-@takes(model=MODEL, train=FLIGHTS, features=NAMES, accept=NAMES)
+@takes(model=MODEL, train=FLIGHTS, accept=NAMES, progress=FUNCTION)
 def learn(
     model: IdentifiedModel,
     train: Dataset | Flight,

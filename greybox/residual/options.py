@@ -3,8 +3,6 @@ one frozen record each."""
 
 from __future__ import annotations
 
-import math
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypedDict, Unpack
@@ -14,20 +12,31 @@ from greybox.estimation.options import chosen
 from greybox.residual.kernels import split_name
 from greybox.residual.learners import GP, Learner
 from greybox.residual.posterior import METHODS
-from greybox.takes import taken_fields
+from greybox.takes import COUNT, NATURAL, Kind, has, is_number, taken_fields
 
 NOISE = ("white", "per-group", "auto")
 PRIOR_MEANS = ("zero", "constant")
 
 
-def demand_points(points: object) -> None:
-    """Raise `ModelError` for a number of support points or features that is none."""
-    if points != "auto" and (not isinstance(points, numbers.Integral) or points < 1):
-        raise ModelError(
-            "the number of support points",
-            expected='a positive whole number or "auto"',
-            got=repr(points),
-        )
+def _or_auto(kind: Kind, words: str) -> Kind:
+    """What `kind` takes, in `words`, or "auto"."""
+    return Kind(
+        words=f'"auto" or {words}',
+        fits=lambda v: v == "auto" if isinstance(v, str) else kind.fits(v),
+        error=ModelError,
+    )
+
+
+POINTS = _or_auto(COUNT, COUNT.words)
+INFLATION = _or_auto(
+    Kind(words="", fits=lambda v: is_number(v) and v >= 1.0), "a factor of at least 1"
+)
+LEARNERS = Kind(
+    words="a name, a file of your own (own.py:Name), or a learner",
+    fits=lambda v: isinstance(v, str) or has("name", "features")(v),
+    error=ModelError,
+)
+PART = Kind(words="a share from 0 to below 1", fits=lambda v: is_number(v) and 0 <= v < 1)
 
 
 class LearnChoices(TypedDict, total=False):
@@ -46,7 +55,7 @@ class LearnChoices(TypedDict, total=False):
 class LearnOptions:
     """All choices of learning. Raises `ModelError` and `UnknownNameError` for what there is not."""
 
-    features: Sequence[str] | None = None
+    features: tuple[str, ...] | None = None
     """Inputs of what is learned; None: the sets of `feature_sets` compete."""
     place: bool = False
     """Whether sets with what stands in the room compete too. They do not carry over to another
@@ -64,9 +73,8 @@ class LearnOptions:
     """Whether the physics is refitted beside what is learned; kept where left-out flights want it."""
 
     def __post_init__(self) -> None:
-        taken_fields(self)
+        taken_fields(self, points=POINTS, learner=LEARNERS)
         split_name(self.kernel)
-        demand_points(self.points)
 
     @classmethod
     def of(cls, options: LearnOptions | None, choices: LearnChoices) -> LearnOptions:
@@ -139,7 +147,15 @@ class GPOptions:
     """Passes over the data of "svgp"."""
 
     def __post_init__(self) -> None:
-        taken_fields(self)
+        taken_fields(
+            self,
+            points=POINTS,
+            noise_inflation=INFLATION,
+            hold_out=PART,
+            subset=COUNT,
+            restarts=NATURAL,
+            epochs=NATURAL,
+        )
         split_name(self.kernel)
         for kind, value, known in (
             ("GP method", self.method, METHODS),
@@ -148,12 +164,6 @@ class GPOptions:
         ):
             if value not in known:
                 raise UnknownNameError(kind, value, known)
-        demand_points(self.points)
-        factor = self.noise_inflation
-        if factor != "auto" and (isinstance(factor, str) or not 1.0 <= factor < math.inf):
-            raise ModelError(
-                "noise_inflation", expected='"auto" or a factor of at least 1', got=repr(factor)
-            )
 
     @classmethod
     def of(cls, options: GPOptions | None, choices: GPChoices) -> GPOptions:

@@ -33,7 +33,7 @@ from greybox.simulators.statement import Statement, state
 from greybox.simulators.target import Target
 from greybox.simulators.targets import TARGETS, target_by_name
 from greybox.simulators.words import Status
-from greybox.takes import FLIGHTS, MODEL, PATH, SEED, SIMULATORS, WHOLE, takes
+from greybox.takes import FLIGHTS, MODEL, NATURAL, PATH, SIMULATORS, takes
 
 SCHEMA = "greybox.twin/1"
 REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside, what was learned of
@@ -134,8 +134,8 @@ def _listed(place: Path) -> set[str]:
     }
 
 
-@takes(model=MODEL, targets=SIMULATORS, train=FLIGHTS, check=FLIGHTS, seed=SEED)
-@takes(out=PATH, draws=WHOLE)
+@takes(model=MODEL, targets=SIMULATORS, train=FLIGHTS, check=FLIGHTS, seed=NATURAL)
+@takes(out=PATH, draws=NATURAL)
 def twin(
     model: IdentifiedModel,
     targets: Sequence[str | Target] = (),

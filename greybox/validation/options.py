@@ -8,8 +8,14 @@ from typing import TypedDict
 
 from greybox.data.segment import START_SECONDS
 from greybox.estimation.options import chosen
-from greybox.takes import taken_fields
+from greybox.takes import COUNT, NOT_NEGATIVE, Several, has, taken_fields
 from greybox.validation.advice import Hint
+
+HINTS = Several(
+    words="a list of Hints",
+    fits=has("symptom", "detail"),
+    fix="[greybox.validation.advice.Hint(symptom=...)]",
+)
 
 
 class HorizonChoices(TypedDict, total=False):
@@ -35,9 +41,9 @@ class ValidateChoices(HorizonChoices, total=False):
 class ValidateOptions:
     """All choices of a validation."""
 
-    horizons: Sequence[float] | None = None
+    horizons: tuple[float, ...] | None = None
     """Horizons that are listed [s]; None: `HORIZONS`, of a model that is no vehicle's `SAMPLES`."""
-    horizon_samples: Sequence[int] | None = None
+    horizon_samples: tuple[int, ...] | None = None
     """The same in numbers of samples, instead."""
     adapt: float | None = None
     """Seconds at the beginning of a flight that its per-flight parameters and its initial state are
@@ -57,8 +63,7 @@ class ValidateOptions:
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
     def __post_init__(self) -> None:
-        taken_fields(self)
-        object.__setattr__(self, "hints", tuple(self.hints))
+        taken_fields(self, every=COUNT, skip=NOT_NEGATIVE, hints=HINTS)
 
     @classmethod
     def of(cls, options: ValidateOptions | None, choices: ValidateChoices) -> ValidateOptions:

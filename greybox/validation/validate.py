@@ -32,7 +32,7 @@ from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
 from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
-from greybox.takes import COUNT, FLIGHTS, MODEL, NOT_NEGATIVE, NUMBERS, takes
+from greybox.takes import FLIGHTS, MODEL, takes
 from greybox.validation.adapt import (
     SECONDS,
     Adaptation,
@@ -84,14 +84,7 @@ leave a third of the origins of 51 samples, 10 % none)."""
 
 
 @says_choices(ValidateOptions)
-@takes(
-    model=MODEL,
-    dataset=FLIGHTS,
-    horizons=NUMBERS,
-    horizon_samples=NUMBERS,
-    adapt=NOT_NEGATIVE,
-    every=COUNT,
-)
+@takes(model=MODEL, dataset=FLIGHTS)
 def validate(
     model: IdentifiedModel,
     dataset: Dataset | Flight,

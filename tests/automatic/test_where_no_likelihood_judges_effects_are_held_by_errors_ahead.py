@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import greybox.automatic.held_ahead
 from greybox.automatic.held_ahead import HeldAhead, _at_bound, held_ahead, is_bent
+from greybox.errors import FitError
 from greybox.estimation.fit import fit
 from greybox.estimation.result import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.model.known import Known
 from greybox.model.model import PhysicsModel, build_model
 from greybox.validation.judges import Judges
 from tests.automatic.craft import RATES, flights, vehicle
@@ -130,3 +133,27 @@ def test_where_flights_that_judge_tell_nothing_nobody_says_so(train, judges):
     short = Judges(flights=flights(RATES, seeds=(3,), seconds=1.2, damping=DAMPING), adapt=0.0)
     assert not is_bent(found, train, short, SPAN, LEAST)
     assert is_bent(found, train, replace(judges, _known={}), SPAN, LEAST)
+
+
+def test_where_nothing_can_be_fitted_by_errors_ahead_that_is_told(train, judges, monkeypatch):
+    def fails(*_: object, **_said: object) -> Fit:
+        raise FitError("no samples")
+
+    told_so: list[str] = []
+    found = told(train)
+    monkeypatch.setattr(greybox.automatic.held_ahead, "fit", fails)
+    assert not is_bent(found, train, judges, SPAN, LEAST, unable=told_so.append)
+    monkeypatch.setattr(greybox.automatic.held_ahead, "fit_prepared", fails)
+    there = model(train, *ASKED)
+    assert held_ahead(there, ASKED, train, judges, SPAN, 4, unable=told_so.append) is None
+    assert len(told_so) == 2
+    assert all("on the likelihood alone" in t and "no samples" in t for t in told_so)
+
+
+def test_what_is_known_of_the_craft_goes_before_its_file(train, judges):
+    known = Known(prior={TAU: (0.06, 1e-5)}, held={"mass": 0.03})
+    race = held_ahead(model(train, "motor_lag"), ["motor_lag"], train, judges, SPAN, 4, known=known)
+    assert race is not None
+    assert race.fit[TAU].value == pytest.approx(0.06, abs=1e-4), "flights alone say 0.05"
+    assert race.fit.model.values["mass"] == 0.03
+    assert not is_bent(told(train), train, judges, SPAN, LEAST, known=known)

@@ -19,6 +19,7 @@ from greybox.discovery.left import Left
 from greybox.discovery.name import by_errors_ahead, impossible
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import _Run
+from greybox.model.known import NOTHING, Known
 from greybox.validation.worth import Worth
 from tests.discovery import small_world
 
@@ -96,7 +97,9 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     monkeypatch.setattr(greybox.discovery.workflow, "physics_of", lambda _: "physics")
     by_likelihood = [by_errors_ahead(n, found, "", BAR) for n in ("lag", "drag")]  # type: ignore[arg-type]
 
-    def answer(*bent: Any, lawful: bool = False, mended: bool = False) -> Any:
+    unfitted: list[str] = []
+
+    def answer(*bent: Any, lawful: bool = False, mended: bool = False, then: Any = None) -> Any:
         searched = []
 
         def searches(at: Any) -> Any:
@@ -104,12 +107,15 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             return at
 
         run: Any = SimpleNamespace(
-            then=None,
+            then=then,
             warnings=[],
             bar=BAR,
             ahead=False,
+            unchanged="",
             judges=None,
-            options=SimpleNamespace(fixed=(), per_flight=(), max_effects=2),
+            options=SimpleNamespace(fixed=(), per_flight=(), max_effects=2, known=NOTHING),
+            unfitted=unfitted,
+            held_out=lambda at: (at, "ahead" if run.ahead else "by likelihood"),
             bent=lambda at, laws=None: at in bent and not (laws and mended),
             flights=SimpleNamespace(
                 causes=SimpleNamespace(built=frozenset), data=None, arrived=lambda at: at
@@ -134,10 +140,12 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             crowded_out=lambda _: [],
         )
         names, at, left = _Run._answer(run, search, LAST)
-        assert run.ahead == bool(run._settled)
-        assert searched == ([True, False] if LAST in bent and mended else [LAST in bent])
+        assert run.ahead == bool(run._settled) or run.unchanged
+        twice = LAST in bent and (mended or not run.ahead)
+        assert then or searched == ([True, False] if twice else [LAST in bent])
         return {n.name: n.status for n in names}, at, left.written, run.ahead
 
+    answer.unfitted = lambda: unfitted  # type: ignore[attr-defined]
     return answer
 
 
@@ -146,6 +154,66 @@ def test_errors_ahead_judge_what_was_found_or_what_was_named_where_it_is_bent(an
     assert answered() == (said, NAMED, None, False)
     assert answered(LAST, NAMED) == (said, LAST, None, True)
     assert answered(NAMED) == (said, NAMED, None, True), "traces have left it"
+
+
+class Then:
+    """A model of then, of which the errors of now say `line`; what it was asked."""
+
+    def __init__(self, line: str = "") -> None:
+        self.line = line
+        self.asked: list[Any] = []
+
+    def beats(self, *_: Any) -> bool:
+        return False
+
+    def unchanged(self, new: Any, added: Any, span: Any) -> str:
+        self.asked.append(new)
+        return self.line
+
+
+def test_what_has_changed_is_asked_of_a_model_that_was_fitted_by_errors_ahead(answered):
+    """One that the likelihood bends foretells badly whatever has changed."""
+    then, said = Then(), {"lag": "supported", "drag": "not certified"}
+    assert answered(LAST, then=then) == (said, LAST, None, True)
+    assert then.asked == [(LAST, "ahead")]
+    straight = Then()
+    assert answered(then=straight)[3] is False
+    assert straight.asked == [(LAST, "by likelihood")]
+
+
+def test_where_nothing_has_changed_nothing_is_named_by_errors_ahead(answered, monkeypatch):
+    monkeypatch.setattr(greybox.discovery.workflow, "left_over", lambda *_, **_said: Left(axes=()))
+    names, at, _, ahead = answered(LAST, then=Then("NOTHING HAS CHANGED"))
+    assert (names, at, ahead) == ({}, LAST, False)
+
+
+def test_where_errors_ahead_fit_nothing_that_is_said(answered, monkeypatch):
+    def none(*_: Any, unable: Callable[[str], None], **_said: Any) -> None:
+        unable("nothing can be fitted")
+
+    monkeypatch.setattr(greybox.discovery.workflow, "held_ahead", none)
+    assert answered(LAST, NAMED)[3] is False
+    assert answered.unfitted() == ["nothing can be fitted"] * 2
+
+
+def test_what_was_known_before_is_handed_to_whoever_asks_errors_ahead(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        greybox.discovery.workflow, "is_bent", lambda *given: asked.append(given) or True
+    )
+    monkeypatch.setattr(greybox.discovery.workflow, "physics_of", lambda _: "physics")
+    settled = SimpleNamespace(model=SimpleNamespace(dynamics=None))
+    known = Known(prior={"mass": (1.0, 0.1)})
+    run: Any = SimpleNamespace(
+        _bent={},
+        settled=lambda _: settled,
+        options=SimpleNamespace(since="model", known=known),
+        flights=SimpleNamespace(data=None),
+        judges=None,
+        unfitted=[],
+    )
+    assert _Run.bent(run, LAST) and _Run.bent(run, LAST)  # type: ignore[arg-type]
+    assert len(asked) == 1 and asked[0][-2] is known
 
 
 def test_laws_that_foretell_as_well_come_first(answered):

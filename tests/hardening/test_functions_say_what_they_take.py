@@ -17,6 +17,7 @@ from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.result import ByName
 from greybox.examples import flight_path, vehicle_path
+from greybox.linear.records import Record
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
 from greybox.symbolic import Layout, Signal
@@ -41,6 +42,7 @@ LINEAR = LinearModel(
     inputs=Layout([Signal(name="u1", unit="1")]),
     outputs=Layout([Signal(name="p", unit="rad/s")]),
 )
+RECORD = Record(u=np.ones((50, 1)), y=np.ones((50, 1)))
 FLIGHTS = "takes flights"
 A_MODEL = "takes a model of fit, discover or learn"
 A_VEHICLE = "takes a vehicle"
@@ -167,17 +169,43 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
         "out takes a path; got IdentifiedModel",
     ),
     "a twin to a number": (lambda: gb.twin(MODEL, out=3), "out takes a path; got 3"),
-    "half a twin": (lambda: gb.twin(MODEL, draws=2.5), "draws takes a whole number; got 2.5"),
+    "half a twin": (
+        lambda: gb.twin(MODEL, draws=2.5),
+        "draws takes a whole number from 0 on; got 2.5",
+    ),
     "a window as text": (
         lambda: gb.frf(LONG, ["u1"], ["p"], window="2"),
         "window '2'; expected a positive number of seconds",
     ),
     "a budget in halves": (
         lambda: gb.compare(VEHICLE, DATA, OTHER, budget=2.5),
-        "budget takes a whole number; got 2.5",
+        "budget takes a whole number above zero; got 2.5",
     ),
     "a plan of one limit": (lambda: gb.plan(VEHICLE, limits=3.0), "limits takes Limits; got 3.0"),
     "one target": (lambda: gb.export(MODEL, "out", targets="c"), r"targets=\['c'\]"),
+    "progress in words": (
+        lambda: gb.learn(MODEL, DATA, progress="bar"),
+        "progress takes a function; got 'bar'",
+    ),
+    "a plan said in words": (lambda: gb.plan(VEHICLE, say=3), "say takes a function; got 3"),
+    "faults in words": (
+        lambda: gb.discover(VEHICLE, DATA, faults="none"),
+        r"faults takes a CheckReport; got 'none'.*greybox\.check",
+    ),
+    "a fit to compare with": (
+        lambda: gb.compare(VEHICLE, DATA, OTHER, fit=MODEL),
+        "fit takes a function; got IdentifiedModel",
+    ),
+    "half a band": (lambda: gb.frf(LONG, ["u1"], ["p"], band=[1.0]), "band takes 2 numbers; got 1"),
+    "a path of a response": (
+        lambda: gb.frf(LONG, ["u1"], ["p"], model=3),
+        "model takes a fitted model: of fit, discover or linear; got 3",
+    ),
+    "half an order": (lambda: gb.fit_linear([RECORD], 2.5), "order takes a whole number above z"),
+    "a sample time in words": (
+        lambda: gb.fit_linear([RECORD], dt="0.01"),
+        "dt takes a number above zero; got '0.01'",
+    ),
     "a twin of a vehicle": (lambda: gb.twin(VEHICLE), f"model {A_MODEL}"),
 }
 

@@ -217,7 +217,8 @@ def test_a_model_file_names_the_effects_file_that_it_needs(file):
     names = ["motor_lag", "magnet"]
     assert effects_of(names, own, [magnet], where="m.json")[1] is magnet
     with pytest.raises(
-        FileFormatError, match=r"m.json: .*magnet of magnet.py.*load_effects\('magnet.py'\)"
+        FileFormatError,
+        match=r"m.json: .*magnet \(magnet.py\).*--effects-file magnet.py.*load_effects",
     ):
         effects_of(names, own, [], where="m.json")
     (other,) = load_effects(file(GOOD + "# changed since\n"))
@@ -234,3 +235,11 @@ def test_an_effect_of_ones_own_code_is_asked_for_too():
     with pytest.raises(FileFormatError, match="Python code of your own"):
         effects_of(["mine"], own, [], where="m.json")
     assert effects_of(["mine"], own, [Mine()], where="m.json")[0].name == "mine"
+
+
+def test_all_files_that_a_model_needs_are_named_at_once_by_their_place(tmp_path):
+    (tmp_path / "one.py").write_text("")
+    own = {n: {"file": f"{n}.py", "sha256": None, "references": []} for n in ("one", "two")}
+    with pytest.raises(FileFormatError) as refused:
+        effects_of(["one", "rotor_drag", "two"], own, [], where=str(tmp_path / "m.json"))
+    assert f"--effects-file {tmp_path / 'one.py'} two.py" in str(refused.value)

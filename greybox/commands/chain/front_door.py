@@ -17,7 +17,7 @@ from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.progress import in_notebooks
 from greybox.residual.files import load_model
 from greybox.shown import Row, Shown
-from greybox.takes import NAMES, PATH, PATHS, SEED, takes
+from greybox.takes import FUNCTION, NAMES, NATURAL, PATH, PATHS, takes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -52,7 +52,7 @@ def _quiet(text: str) -> None:
 
 @in_notebooks(say="say")
 @takes(vehicle=PATH, logs=PATHS, test=PATHS, skip=NAMES, accept=NAMES)
-@takes(out=PATH, seed=SEED)
+@takes(out=PATH, seed=NATURAL, say=FUNCTION)
 def identify(
     vehicle: str | os.PathLike[str] | None,
     logs: Iterable[str | os.PathLike[str]],
