@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from greybox.automatic.filters import without_noise_of
 from greybox.automatic.foretell import Score, foretell
 from greybox.automatic.sets import Step, all_names_of, effects_of, name_of
@@ -24,7 +22,6 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.model import PhysicsModel
-from greybox.statistics.evidence import FELT
 
 QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
 """Solver of the comparison: ends within about half a standard error of the optimum."""
@@ -250,17 +247,7 @@ def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
     first, *more = candidate.steps
     kept = [first]
     for step in more:
-        felt = tuple(e for e in step.effects if _felt(name_of(e), candidate.fit))
+        felt = tuple(e for e in step.effects if candidate.fit.feels(name_of(e)))
         if felt:
             kept.append(replace(step, effects=felt))
     return tuple(kept)
-
-
-def _felt(effect: str, fitted: Fit) -> bool:
-    null = {d.name: d.null for d in fitted.model.dynamics.parameters}
-    own = fitted.of_effect(effect).items()
-    numbers = [(null[n], *v) for n, e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
-    # An estimate at a bound has no error: felt, unless that bound is its null.
-    return any(
-        v != zero and (not np.isfinite(std) or abs(v) > FELT * std) for zero, v, std in numbers
-    )

@@ -15,7 +15,6 @@ from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.search import Rival
 from greybox.errors import GreyboxError
 from greybox.estimation.result import Fit
-from greybox.model.parameter import Parameter
 from greybox.planning.experiment import Manoeuvres, separating_manoeuvre
 from greybox.statistics.evidence import FELT
 from greybox.validation.worth import Worth
@@ -23,6 +22,7 @@ from greybox.validation.worth import Worth
 Status = Literal["certified", "supported", "one of these", "trace", "impossible", "not certified"]
 NAMED: tuple[Status, ...] = ("certified", "supported", "one of these")
 """What is said to be missing."""
+CANCELLED = "others cancel it, as no number of it is clear of its own error: not what is there"
 LOG10 = float(np.log(10.0))
 EXACT = 1e-3
 """Difference in log likelihood below which two structures say the same thing with other words."""
@@ -194,28 +194,23 @@ def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) ->
     return dict(zip(names, weights.tolist(), strict=True))
 
 
-def impossible(at: Fitted | Fit, flights: Flights, name: str) -> str:
-    """Why a cause of the structure `at` can be no name; empty where it can. An estimate at its
-    bound stands in for something else, and one beyond what any craft has is a fault of the data."""
-    cause = flights.causes.offered[name]
-    if isinstance(at, Fit):
-        dynamics = at.model.dynamics
-        rows = [(n, e.value, e.at_bound) for n, e in at.of_effect(name).items()]
-    else:
-        dynamics, own = at.problem.dynamics, [u.name for u in at.space.unknowns]
-        rows = list(zip(own, at.theta.tolist(), at.held.tolist(), strict=True))
-    declared: dict[str, Parameter] = {d.name: d for d in dynamics.parameters}
-    bent = []
-    for number, value, held in [r for r in rows if r[0] in cause.parameters]:
-        null, possible = cause.prior[number][0], declared[number].possible
-        if abs(value - null) > possible:
-            size = f"{value:.3g} {declared[number].unit}".rstrip()
-            beyond = f"{number} = {size}, and no craft has more than {possible:.3g}"
-            return f"{beyond}: a fault of the data (axes, frames, units) is likelier; run greybox check"
-        if held and value != null:
-            bent.append(number)
-    ran = f"{', '.join(sorted(set(bent)))} ran to a bound: it stands in for something else"
-    return ran if bent else ""
+def impossible(found: Fit, flights: Flights, name: str) -> str:
+    """Why a cause of the structure that `found` is of can be no name; empty where it can. An
+    estimate at its bound stands in for something else, and one beyond what any craft has is a fault
+    of the data."""
+    prior, bent = flights.causes.offered[name].prior, set[str]()
+    declared = {d.name: d for d in found.model.dynamics.parameters}
+    for number, e in found.of_effect(name).items():
+        null, possible = prior[number][0], declared[number].possible
+        for value in [v for v, _ in e.per_flight.values()] or [e.value]:
+            if abs(value - null) > possible:
+                size = f"{value:.3g} {e.unit}".rstrip()
+                beyond = f"{number} = {size}, and no craft has more than {possible:.3g}"
+                why = "a fault of the data (axes, frames, units) is likelier; run greybox check"
+                return f"{beyond}: {why}"
+            if e.at_bound and value != null:
+                bent.add(number)
+    return f"{', '.join(sorted(bent))} ran to a bound: it stands in for something else" * bool(bent)
 
 
 def separating(flights: Flights, at: Fitted, name: Name) -> Manoeuvres | None:

@@ -25,6 +25,7 @@ from greybox.discovery.document import SearchSettings, settings_of
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import (
+    CANCELLED,
     NAMED,
     Name,
     by_errors_ahead,
@@ -247,7 +248,7 @@ class _Run:
         scores = None if self.ahead else search.scores
         taught = sum(f.n for f in self.flights.data)
         share = 0.5 if self.test is None else self.judges.samples / max(taught, 1)
-        doubts = [impossible(at, self.flights, n) for n in sorted(causes.base)]
+        doubts = [impossible(self.settled(at), self.flights, n) for n in sorted(causes.base)]
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
             self._so_far(found),
@@ -407,7 +408,7 @@ class _Run:
     def _named(self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]) -> Judged:
         """What is said of every cause of the structure, and the structure of what is said."""
         judges, alpha = splits(self.flights, self.test), self.options.alpha
-        odd = {name: impossible(at, self.flights, name) for name in rivals}
+        odd = {name: self._odd(at, name) for name in rivals}
         names, before, self.needed = [], np.inf, self.bar
         while self.needed < before:  # fits near a lower bar are carried on, and more may pass it
             before = self.needed
@@ -423,13 +424,17 @@ class _Run:
             names.append(with_values_elsewhere(with_size(said, whole), whole, rivals[name]))
         return self._without_traces(names, at)
 
+    def _odd(self, at: Fitted, name: str) -> str:
+        found = self.settled(at)
+        return impossible(found, self.flights, name) or CANCELLED * (not found.feels(name))
+
     def _without_traces(self, names: list[Name], at: Fitted) -> Judged:
         """Names, and the structure without what has none but traces that numbers rest on."""
         traces, all_stay = {n.name for n in names if n.status == "trace"}, self.options.trace
         names = [replace(n, kept=n.kept or (all_stay and n.name in traces)) for n in names]
         gone = {n.name for n in names if n.status not in NAMED and not n.kept}
         bare = self.flights.fit(at.structure - gone, [at.known]) if gone else at
-        why = {n: impossible(bare, self.flights, n.name) * (n.status in NAMED) for n in names}
+        why = {n: self._odd(bare, n.name) if n.status in NAMED else "" for n in names}
         if any(why.values()):  # without what left
             bent = [replace(n, status="impossible", reason=w) if w else n for n, w in why.items()]
             return self._without_traces(bent, at)

@@ -24,6 +24,7 @@ from greybox.model.layer import physics_of
 from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.plots import Curve, deviations, panels
 from greybox.shown import Cell, Shown
+from greybox.statistics.evidence import FELT
 from greybox.symbolic import FloatArray
 
 if TYPE_CHECKING:
@@ -176,6 +177,20 @@ class Fit(Shown):
     def of_effect(self, effect: str) -> dict[str, Estimate]:
         """Estimates of the numbers of an effect or a part of the noise, by their whole names."""
         return {n: e for n, e in self.parameters.items() if n.split(".")[0] == effect}
+
+    def feels(self, effect: str) -> bool:
+        """Whether a number of an effect is clear of its null by its own error. One at a bound has
+        none: it is, unless that bound is its null."""
+        null = {d.name: d.null for d in self.model.dynamics.parameters}
+        rows = [
+            (null[n] or 0.0, value, std)
+            for n, e in self.of_effect(effect).items()
+            for value, std in e.per_flight.values() or [(e.value, e.std)]
+        ]
+        return any(
+            value != zero and not (np.isfinite(std) and abs(value - zero) <= FELT * std)
+            for zero, value, std in rows
+        )
 
     def judged(self, verdict: Verdict | None) -> Fit:
         """The same fit with the verdict of a validation (`greybox.validation.validate`)."""

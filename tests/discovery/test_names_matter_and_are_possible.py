@@ -13,8 +13,9 @@ import greybox.model.effects.gyro_bias
 from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import Certificate, Whole
-from greybox.discovery.evidence import Fitted, Flights, problem_of
+from greybox.discovery.evidence import Flights
 from greybox.discovery.name import (
+    CANCELLED,
     Name,
     held,
     impossible,
@@ -28,9 +29,7 @@ from greybox.discovery.search import Rival
 from greybox.discovery.words import with_size
 from greybox.discovery.workflow import discover
 from greybox.errors import ModelError, VehicleError
-from greybox.estimation.problem import Value
-from greybox.estimation.result import Fit
-from greybox.estimation.status import Code, Status
+from greybox.estimation.result import Estimate, Fit
 from greybox.validation.gap import HeldOutErrors
 from greybox.validation.worth import seconds, worth
 from tests.discovery import small_world
@@ -296,17 +295,40 @@ def test_numbers_that_stay_within_their_errors_are_not_told_twice():
 
 def test_a_size_that_no_craft_has_is_a_fault_of_the_data():
     flights = small_world.damped()
-    at = flights.fit({"rotational_damping"})
-    assert impossible(at, flights, "rotational_damping") == ""
-    declared = at.problem.dynamics.parameters
+    found = flights.settled(flights.fit({"rotational_damping"}))
+    assert impossible(found, flights, "rotational_damping") == ""
+    declared = found.model.dynamics.parameters
     for d in declared:
         if d.name == "rotational_damping.d_p":
             object.__setattr__(d, "possible", 1e-3)
     try:
-        assert "fault of the data" in impossible(at, flights, "rotational_damping")
+        assert "fault of the data" in impossible(found, flights, "rotational_damping")
     finally:
         for d in declared:
             object.__setattr__(d, "possible", np.inf)
+
+
+def with_estimate(found: Fit, estimate: Estimate) -> Fit:
+    """The fit with another estimate."""
+    there = {**found.parameters, estimate.name: estimate}
+    return replace(found, estimates=replace(found.estimates, parameters=there))
+
+
+def test_numbers_that_are_nothing_within_their_errors_cancel_each_other():
+    """A wall had the names of a wind of 3.9 +- 2.1 m/s and a force of 1.4 +- 1.1 N, certified."""
+    flights = small_world.damped()
+    found = flights.settled(flights.fit({"rotational_damping"}))
+    assert found.feels("rotational_damping")
+    for n, own in found.of_effect("rotational_damping").items():
+        found = with_estimate(found, replace(own, std=own.value / 2, name=n))
+    assert not found.feels("rotational_damping")
+    at_bound = replace(found["rotational_damping.d_p"], value=0.0, std=np.nan, at_bound=True)
+    assert not with_estimate(found, at_bound).feels("rotational_damping")
+    assert with_estimate(found, replace(at_bound, value=1.0)).feels("rotational_damping")
+    each = {"a": (0.1, 1.0), "b": (4.0, 1.0)}
+    assert with_estimate(found, replace(at_bound, per_flight=each)).feels("rotational_damping")
+    name = judged(certificate(nothing=20.0), None, CANCELLED, BAR, ALPHA)
+    assert (name.status, name.kept) == ("impossible", False)
 
 
 @pytest.mark.parametrize(
@@ -320,22 +342,11 @@ def test_an_accelerometer_that_is_off_by_half_is_no_property_of_a_craft(size: fl
         flights = Flights(
             causes=offer(small_world.vehicle(), data.channels, sample_time=0.01), data=data
         )
-    structure = frozenset({"accelerometer_scale"})
-    problem = problem_of(flights.causes, data, flights.options, structure)
-    theta = problem.start.copy()
-    theta[problem.index["accelerometer_scale.s_x", None]] = size
-    value = Value(cost=0.0, likelihood=0.0, gradient=np.zeros(problem.n))
-    status = Status(code=Code.CONVERGED, iterations=1, evaluations=1, decrement=0.0)
-    at = Fitted(
-        structure=structure,
-        space=problem,
-        set_up=lambda: problem,
-        theta=theta,
-        value=value,
-        status=status,
-        log_evidence=0.0,
+    found = flights.settled(flights.fit({"accelerometer_scale"}))
+    scale = found["accelerometer_scale.s_x"]
+    said = impossible(
+        with_estimate(found, replace(scale, value=size)), flights, "accelerometer_scale"
     )
-    said = impossible(at, flights, "accelerometer_scale")
     assert why in said and bool(said) == bool(why)
 
 
