@@ -377,6 +377,7 @@ def taken_fields(record: DataclassInstance, **kinds: Kind) -> None:
         value = getattr(record, f.name)
         if value is None and callable(f.default_factory):
             value = f.default_factory()
-        if not (value is None and declared != f.type):
-            value = (kind.get(f.name) or kind[declared]).taken(f.name, value)
+        own = kind.get(f.name) or kind.get(declared)  # a field of a subclass may be anything
+        if own is not None and not (value is None and declared != f.type):
+            value = own.taken(f.name, value)
         object.__setattr__(record, f.name, value)

@@ -182,7 +182,7 @@ def is_bent(
         free=tuple(found.parameters),
         per_flight=tuple(n for n, e in found.parameters.items() if e.scope != "shared"),
         initialisation="nominal",
-    ).but(**_as_known(known, found.parameters))
+    ).but(**_as_known(known, {d.name for d in model.dynamics.parameters}))
     try:
         ahead = fit(model.dynamics, data, continued(options, found)).model
     except GreyboxError as error:

@@ -22,7 +22,7 @@ from greybox.validation.worth import Worth
 Status = Literal["certified", "supported", "one of these", "trace", "impossible", "not certified"]
 NAMED: tuple[Status, ...] = ("certified", "supported", "one of these")
 """What is said to be missing."""
-CANCELLED = "others cancel it, as no number of it is clear of its own error: not what is there"
+UNTOLD = "flights need it or what acts like it: no number of it is clear of its own error"
 LOG10 = float(np.log(10.0))
 EXACT = 1e-3
 """Difference in log likelihood below which two structures say the same thing with other words."""
@@ -181,7 +181,16 @@ def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
 def out_done(name: Name, gain: float) -> Name:
     """A name in whose place laws have a log evidence that is larger by `gain`."""
     e = f"laws in its place make the flights likelier (log10 e {gain / LOG10:.1f})"
-    return replace(name, status="not certified", reason=e, kept=False, shares={}, elsewhere={})
+    gone = replace(name, status="not certified", reason=e, kept=False)
+    return replace(gone, shares={}, elsewhere={}, unlikely={})
+
+
+def untold(name: Name, found: Fit) -> Name:
+    """A name without which flights are unlikely, of whose numbers they tell none: several that bend
+    into what the catalogue has not say as much of each other. Any other as it is."""
+    if name.status not in NAMED or found.tells(name.name):
+        return name
+    return replace(name, status="not certified", reason=UNTOLD, kept=True)
 
 
 def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) -> dict[str, float]:
@@ -192,25 +201,6 @@ def _shares(certificate: Certificate, alike: Sequence[Instead], price: float) ->
     weights = np.exp(logs - np.logaddexp.reduce(logs))
     names = (certificate.name, *("+".join(r) for r in alike))
     return dict(zip(names, weights.tolist(), strict=True))
-
-
-def impossible(found: Fit, flights: Flights, name: str) -> str:
-    """Why a cause of the structure that `found` is of can be no name; empty where it can. An
-    estimate at its bound stands in for something else, and one beyond what any craft has is a fault
-    of the data."""
-    prior, bent = flights.causes.offered[name].prior, set[str]()
-    declared = {d.name: d for d in found.model.dynamics.parameters}
-    for number, e in found.of_effect(name).items():
-        null, possible = prior[number][0], declared[number].possible
-        for value in [v for v, _ in e.per_flight.values()] or [e.value]:
-            if abs(value - null) > possible:
-                size = f"{value:.3g} {e.unit}".rstrip()
-                beyond = f"{number} = {size}, and no craft has more than {possible:.3g}"
-                why = "a fault of the data (axes, frames, units) is likelier; run greybox check"
-                return f"{beyond}: {why}"
-            if e.at_bound and value != null:
-                bent.add(number)
-    return f"{', '.join(sorted(bent))} ran to a bound: it stands in for something else" * bool(bent)
 
 
 def separating(flights: Flights, at: Fitted, name: Name) -> Manoeuvres | None:

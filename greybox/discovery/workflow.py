@@ -25,16 +25,15 @@ from greybox.discovery.document import SearchSettings, settings_of
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import (
-    CANCELLED,
     NAMED,
     Name,
     by_errors_ahead,
     held,
-    impossible,
     judged,
     out_done,
     separating,
     unneeded,
+    untold,
     verdict_of,
     with_values_elsewhere,
 )
@@ -66,7 +65,7 @@ from greybox.takes import EXECUTOR, FAULTS, FLIGHTS, FUNCTION, NAMES, SEARCHED, 
 from greybox.validation.adapt import adaptation
 from greybox.validation.gap import GapRow, HeldOutErrors, outgrown, worsened
 from greybox.validation.judges import Judges
-from greybox.validation.sanity import denied
+from greybox.validation.sanity import denied, impossible
 from greybox.validation.then import Then
 from greybox.validation.worth import worth
 
@@ -248,7 +247,8 @@ class _Run:
         scores = None if self.ahead else search.scores
         taught = sum(f.n for f in self.flights.data)
         share = 0.5 if self.test is None else self.judges.samples / max(taught, 1)
-        doubts = [impossible(self.settled(at), self.flights, n) for n in sorted(causes.base)]
+        unfitted = dict.fromkeys(() if self.ahead or not names else self.unfitted)
+        doubts = [impossible(self.settled(at), n) for n in sorted(causes.base)]
         smallest = {n: scores.smallest(n, self.bar, share) for n in scores.absent} if scores else {}
         return replace(
             self._so_far(found),
@@ -261,7 +261,7 @@ class _Run:
             bar=self.needed,
             minimum_detectable={n: v for n, v in smallest.items() if v},
             faults=tuple(doubt for doubt in doubts if doubt),
-            warnings=(*self.warnings, *left.doubts, *dict.fromkeys(self.unfitted)),
+            warnings=(*self.warnings, *left.doubts, *unfitted),
             tested_on=() if self.test is None else tuple(self.test.names),
             separating=self._separated(names, at),
             steps=tuple(search.steps),
@@ -315,7 +315,8 @@ class _Run:
         elif worse:
             names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
             named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))
-            left = left_over(self.flights, named, self.settled(named), self.bar, seed=0)
+            rest = left_over(self.flights, named, self.settled(named), self.bar, seed=0)
+            left = replace(rest, doubts=left.doubts)
         return self._by_errors_ahead(search, null, named, names, left) or (names, named, left)
 
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
@@ -395,7 +396,7 @@ class _Run:
         if race is None:
             return None
         self._settled[at], self.ahead, self.needed = race.fit, True, self.bar
-        odd = {n: impossible(race.fit, self.flights, n) for n in asked}
+        odd = {n: impossible(race.fit, n) for n in asked}
         said = [by_errors_ahead(n, race, odd[n], self.bar) for n in asked]
         others = [n for n in names if n.name not in asked]
         return [*said, *others], at, replace(left, written=None)
@@ -408,7 +409,8 @@ class _Run:
     def _named(self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]) -> Judged:
         """What is said of every cause of the structure, and the structure of what is said."""
         judges, alpha = splits(self.flights, self.test), self.options.alpha
-        odd = {name: self._odd(at, name) for name in rivals}
+        whole = self.settled(at)
+        odd = {n: impossible(whole, n) for n in rivals}
         names, before, self.needed = [], np.inf, self.bar
         while self.needed < before:  # fits near a lower bar are carried on, and more may pass it
             before = self.needed
@@ -420,13 +422,9 @@ class _Run:
             old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new, RULES.span)
             said = judged(certificate, good, odd[name], self.needed, alpha, self.bar)
-            whole = self.settled(at)
-            names.append(with_values_elsewhere(with_size(said, whole), whole, rivals[name]))
+            said = with_size(untold(said, whole) if len(rivals) > 1 else said, whole)
+            names.append(with_values_elsewhere(said, whole, rivals[name]))
         return self._without_traces(names, at)
-
-    def _odd(self, at: Fitted, name: str) -> str:
-        found = self.settled(at)
-        return impossible(found, self.flights, name) or CANCELLED * (not found.feels(name))
 
     def _without_traces(self, names: list[Name], at: Fitted) -> Judged:
         """Names, and the structure without what has none but traces that numbers rest on."""
@@ -434,7 +432,8 @@ class _Run:
         names = [replace(n, kept=n.kept or (all_stay and n.name in traces)) for n in names]
         gone = {n.name for n in names if n.status not in NAMED and not n.kept}
         bare = self.flights.fit(at.structure - gone, [at.known]) if gone else at
-        why = {n: self._odd(bare, n.name) if n.status in NAMED else "" for n in names}
+        found = self.settled(bare)
+        why = {n: impossible(found, n.name) * (n.status in NAMED) for n in names}
         if any(why.values()):  # without what left
             bent = [replace(n, status="impossible", reason=w) if w else n for n, w in why.items()]
             return self._without_traces(bent, at)
@@ -452,16 +451,19 @@ class _Run:
         return [stays(n, moved) if n.name in traces & gone else n for n in names], whole
 
     def _laws_instead(self, null: Fitted, names: list[Name], at: Fitted) -> Answer | None:
-        """Names, structure and what is left with laws in the place of a name of the structure `at`
-        that make the flights clearly likelier: it stood in for them. None where none do."""
+        """Names, structure and what is left with laws in the place of all causes of the structure
+        `at` that have no name, or of one cause, which make the flights clearly likelier and foretell
+        no worse than a name: it stood in for them. None where none do."""
         offered = self.flights.causes
         asked = [n for n in names if n.name in at.structure and n.status != "trace"]
-        for name in sorted(asked, key=lambda n: n.certificate.log_e):
-            bare = self.flights.fit(at.structure - {name.name}, [at.known])
-            rest = self._left(null, bare)
+        unsure = [n for n in asked if n.status not in NAMED]
+        each = [[n] for n in sorted(asked, key=lambda n: n.certificate.log_e)]
+        for some in [unsure, *each] if unsure else each:
+            bare = self.flights.fit(at.structure - {n.name for n in some}, [at.known])
+            rest = self._left(null, bare, bare if some is unsure else at)
             gain = rest.written.log_evidence - at.log_evidence if rest.written else -np.inf
             if gain >= self.bar:
-                return [out_done(n, gain) if n is name else n for n in names], bare, rest
+                return [out_done(n, gain) if n in some else n for n in names], bare, rest
             self.flights.causes = offered
         return None
 
@@ -477,9 +479,9 @@ class _Run:
         names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
         return names, self.flights.fit(at.structure - gone, [at.known])
 
-    def _left(self, null: Fitted, at: Fitted) -> Left:
+    def _left(self, null: Fitted, at: Fitted, next_to: Fitted | None = None) -> Left:
         doubts, o = list[str](), self.options
-        holds = functools.partial(self._holds, null, at, doubts)
+        holds = functools.partial(self._holds, null, next_to or at, doubts)
         try:
             found = left_over(self.flights, at, self.settled(at), self.bar, o.seed, holds=holds)
         except GreyboxError as error:
@@ -487,7 +489,7 @@ class _Run:
         return replace(found, doubts=tuple(doubts))
 
     def _holds(self, null: Fitted, at: Fitted, doubts: list[str], written: Fitted) -> bool:
-        """Whether laws foretell no worse than the names alone on the flights that judge."""
+        """Whether laws foretell no worse than the names of `at` on the flights that judge."""
         grown = outgrown(*(self.held_out(f) for f in (null, at, written)))
         if grown:
             laws = ", ".join(sorted(written.structure - at.structure))

@@ -181,16 +181,32 @@ class Fit(Shown):
     def feels(self, effect: str) -> bool:
         """Whether a number of an effect is clear of its null by its own error. One at a bound has
         none: it is, unless that bound is its null."""
-        null = {d.name: d.null for d in self.model.dynamics.parameters}
-        rows = [
-            (null[n] or 0.0, value, std)
+        return any(
+            value != zero and not (np.isfinite(std) and abs(value - zero) <= FELT * std)
+            for zero, value, std in self._numbers(effect)
+        )
+
+    def tells(self, effect: str) -> bool:
+        """Whether the numbers of an effect are clear of their nulls by their errors, alone (see
+        `feels`) or together: two that are told as a sum may each be nothing."""
+        own = [n for n, e in self.of_effect(effect).items() if np.isfinite(e.std)]
+        places = [self.correlation_names.index(n) for n in own if n in self.correlation_names]
+        if self.feels(effect) or not places:
+            return self.feels(effect)
+        names = [self.correlation_names[i] for i in places]
+        null = {d.name: d.null or 0.0 for d in self.model.dynamics.parameters}
+        off = np.array([(self[n].value - null[n]) / self[n].std for n in names])
+        alike = self.correlations[np.ix_(places, places)]
+        return bool(off @ np.linalg.pinv(alike, hermitian=True) @ off > FELT**2)
+
+    def _numbers(self, effect: str) -> list[tuple[float, float, float]]:
+        """(null, value, std) of every number of an effect, of every flight that has its own."""
+        null = {d.name: d.null or 0.0 for d in self.model.dynamics.parameters}
+        return [
+            (null[n], value, std)
             for n, e in self.of_effect(effect).items()
             for value, std in e.per_flight.values() or [(e.value, e.std)]
         ]
-        return any(
-            value != zero and not (np.isfinite(std) and abs(value - zero) <= FELT * std)
-            for zero, value, std in rows
-        )
 
     def judged(self, verdict: Verdict | None) -> Fit:
         """The same fit with the verdict of a validation (`greybox.validation.validate`)."""

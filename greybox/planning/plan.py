@@ -247,9 +247,9 @@ def _kept(
                 hurt |= where
         if not hurt.any():
             break
-        bad = {int(k) for k in np.flatnonzero(hurt) * wish.sample_time // seconds}
+        pieces = np.flatnonzero(hurt) * wish.sample_time // seconds
         flat = [(f, k) for f, steps in enumerate(split) for k in range(len(steps))]
-        for i in bad:
+        for i in {min(int(k), len(flat) - 1) for k in pieces}:  # samples of a flight are rounded
             for f, k in flat[max(i - 1, 0) : i + 1]:
                 if flat[i][0] == f:
                     sizes[f][k] *= SMALLER

@@ -277,6 +277,26 @@ def denied(fit: Fit, stated: Collection[str]) -> tuple[str, ...]:
     return tuple(f"{f.statement} ({f.likely})" for f in found if f.parameters[0] in stated)
 
 
+def impossible(found: Fit, effect: str) -> str:
+    """Why an effect of a fit can be no cause of what flights show; empty where it can. An estimate
+    at its bound stands in for something else, and one beyond what any craft has is a fault of the
+    data."""
+    declared = {d.name: d for d in found.model.dynamics.parameters}
+    bent: set[str] = set()
+    for number, e in found.of_effect(effect).items():
+        d = declared[number]
+        null = d.nominal if d.null is None else d.null
+        for value in [v for v, _ in e.per_flight.values()] or [e.value]:
+            if abs(value - null) > d.possible:
+                size = f"{value:.3g} {e.unit}".rstrip()
+                beyond = f"{number} = {size}, and no craft has more than {d.possible:.3g}"
+                why = "a fault of the data (axes, frames, units) is likelier; run greybox check"
+                return f"{beyond}: {why}"
+            if e.at_bound and value != null:
+                bent.add(number)
+    return f"{', '.join(sorted(bent))} ran to a bound: it stands in for something else" * bool(bent)
+
+
 def untried(attempt: str, effects: Set[str]) -> str:
     """An advice without what a model has already: "add A and B; C" is "C" where both are among its
     effects."""

@@ -68,30 +68,39 @@ def test_until_no_name_leaves_beside_the_laws_or_none_win(times: int, stay: list
     assert list(at) == stay
 
 
-def instead(**evidence: float) -> tuple[Any, Any]:
+def instead(unsure: Sequence[str] = (), **evidence: float) -> tuple[Any, list[bool]]:
     """(What is said of drag, wind and lag, of which a law in the place of each has this log
-    evidence where all three have 100; the run)."""
+    evidence where all three have 100, and whether laws were held against names)."""
     flights = SimpleNamespace(causes="offered", fit=lambda names, _: structure(*sorted(names)))
+    held_against: list[bool] = []
 
-    def left(_null: Any, bare: Any) -> Left:
+    def left(_null: Any, bare: Any, next_to: Any) -> Left:
         flights.causes = "with laws"
-        (gone,) = {"drag", "wind", "lag"} - set(bare.names)
+        gone = "_".join(sorted({"drag", "wind", "lag"} - set(bare.names)))
         law: Any = SimpleNamespace(log_evidence=evidence.get(gone, -1e9))
+        held_against.append(next_to is not bare)
         return Left(axes=(), written=law if gone in evidence else None)
 
     run: Any = SimpleNamespace(flights=flights, bar=5.0, _left=left)
     sure = {"drag": 80.0, "wind": 15.0, "lag": 40.0}
     names = [
-        replace(CERTAIN, name=n, certificate=Certificate(name=n, rivals={(): e}))
+        replace(
+            CERTAIN,
+            name=n,
+            status="not certified" if n in unsure else "certified",
+            certificate=Certificate(name=n, rivals={(): e}),
+        )
         for n, e in sure.items()
     ]
     at: Any = SimpleNamespace(structure=frozenset(sure), known={}, log_evidence=100.0)
-    return _Run._laws_instead(run, structure(), names, at), run
+    found = _Run._laws_instead(run, structure(), names, at)
+    assert flights.causes == ("offered" if found is None else "with laws")
+    return found, held_against
 
 
 def test_a_name_in_whose_place_laws_say_more_stood_in_for_them() -> None:
     """A drag that is linear in the velocity was a quadratic one in a strong wind: both had a name."""
-    (names, bare, left), run = instead(wind=600.0, drag=900.0)
+    (names, bare, left), against = instead(wind=600.0, drag=900.0)
     assert [(n.name, n.status) for n in names] == [
         ("drag", "certified"),
         ("wind", "not certified"),
@@ -100,10 +109,17 @@ def test_a_name_in_whose_place_laws_say_more_stood_in_for_them() -> None:
     assert "laws in its place" in names[1].reason
     assert bare.names == ("drag", "lag")
     assert left.written is not None
-    assert run.flights.causes == "with laws"
+    assert against == [True], "laws must foretell no worse than a name"
+
+
+def test_what_has_no_name_leaves_together_for_laws() -> None:
+    (names, bare, _), against = instead(unsure=("wind", "drag"), drag_wind=600.0)
+    assert {n.name for n in names if "laws in its place" in n.reason} == {"wind", "drag"}
+    assert bare.names == ("lag",)
+    assert against == [False]
 
 
 def test_laws_that_say_hardly_more_take_no_name() -> None:
-    found, run = instead(wind=104.0)
+    found, against = instead(wind=104.0)
     assert found is None
-    assert run.flights.causes == "offered"
+    assert len(against) == 3

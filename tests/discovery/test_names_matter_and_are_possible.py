@@ -15,12 +15,11 @@ from greybox.discovery.cause import offer
 from greybox.discovery.certificate import Certificate, Whole
 from greybox.discovery.evidence import Flights
 from greybox.discovery.name import (
-    CANCELLED,
     Name,
     held,
-    impossible,
     judged,
     unneeded,
+    untold,
     with_values_elsewhere,
 )
 from greybox.discovery.result import Discovery
@@ -31,6 +30,7 @@ from greybox.discovery.workflow import discover
 from greybox.errors import ModelError, VehicleError
 from greybox.estimation.result import Estimate, Fit
 from greybox.validation.gap import HeldOutErrors
+from greybox.validation.sanity import impossible
 from greybox.validation.worth import seconds, worth
 from tests.discovery import small_world
 
@@ -296,13 +296,13 @@ def test_numbers_that_stay_within_their_errors_are_not_told_twice():
 def test_a_size_that_no_craft_has_is_a_fault_of_the_data():
     flights = small_world.damped()
     found = flights.settled(flights.fit({"rotational_damping"}))
-    assert impossible(found, flights, "rotational_damping") == ""
+    assert impossible(found, "rotational_damping") == ""
     declared = found.model.dynamics.parameters
     for d in declared:
         if d.name == "rotational_damping.d_p":
             object.__setattr__(d, "possible", 1e-3)
     try:
-        assert "fault of the data" in impossible(found, flights, "rotational_damping")
+        assert "fault of the data" in impossible(found, "rotational_damping")
     finally:
         for d in declared:
             object.__setattr__(d, "possible", np.inf)
@@ -314,21 +314,55 @@ def with_estimate(found: Fit, estimate: Estimate) -> Fit:
     return replace(found, estimates=replace(found.estimates, parameters=there))
 
 
-def test_numbers_that_are_nothing_within_their_errors_cancel_each_other():
-    """A wall had the names of a wind of 3.9 +- 2.1 m/s and a force of 1.4 +- 1.1 N, certified."""
+def test_numbers_that_are_nothing_within_their_errors_are_no_certain_name():
+    """Beside a wall blades that flap the wrong way, within three errors of nothing, were certified."""
     flights = small_world.damped()
     found = flights.settled(flights.fit({"rotational_damping"}))
-    assert found.feels("rotational_damping")
+    sure = judged(
+        replace(certificate(nothing=20.0), name="rotational_damping"), None, "", BAR, ALPHA
+    )
+    assert untold(sure, found) is sure
     for n, own in found.of_effect("rotational_damping").items():
         found = with_estimate(found, replace(own, std=own.value / 2, name=n))
+    alone = found.correlations * np.eye(len(found.correlations))
+    apart = replace(found, estimates=replace(found.estimates, correlations=alone))
+    assert not apart.feels("rotational_damping")
+    assert apart.tells("rotational_damping"), "three of two errors each are more than three of one"
+    one = replace(found["rotational_damping.d_p"], value=0.0, std=1.0)
+    for n in found.of_effect("rotational_damping"):
+        apart = with_estimate(apart, replace(one, name=n, value=1.0))
+    name = untold(sure, apart)
+    assert (name.status, name.kept) == ("not certified", True)
+    assert "no number of it is clear" in name.reason
+    trace = replace(sure, status="trace")
+    assert untold(trace, apart) is trace
+
+
+def test_a_sum_that_is_told_is_felt_where_neither_part_is():
+    flights = small_world.damped()
+    found = flights.settled(flights.fit({"rotational_damping"}))
+    names = list(found.of_effect("rotational_damping"))
+    for n in names:
+        found = with_estimate(found, replace(found[n], value=1.0, std=1.0))
+    alike = np.full((3, 3), -0.49) + 1.49 * np.eye(3)
+    there = [found.correlation_names.index(n) for n in names]
+    whole = np.eye(len(found.correlations))
+    whole[np.ix_(there, there)] = alike
+    found = replace(found, estimates=replace(found.estimates, correlations=whole))
     assert not found.feels("rotational_damping")
-    at_bound = replace(found["rotational_damping.d_p"], value=0.0, std=np.nan, at_bound=True)
+    assert found.tells("rotational_damping")
+
+
+def test_an_estimate_at_a_bound_is_felt_unless_that_is_its_null():
+    flights = small_world.damped()
+    found = flights.settled(flights.fit({"rotational_damping"}))
+    for n, own in found.of_effect("rotational_damping").items():
+        found = with_estimate(found, replace(own, value=0.0, std=1.0, name=n))
+    at_bound = replace(found["rotational_damping.d_p"], std=np.nan, at_bound=True)
     assert not with_estimate(found, at_bound).feels("rotational_damping")
     assert with_estimate(found, replace(at_bound, value=1.0)).feels("rotational_damping")
     each = {"a": (0.1, 1.0), "b": (4.0, 1.0)}
     assert with_estimate(found, replace(at_bound, per_flight=each)).feels("rotational_damping")
-    name = judged(certificate(nothing=20.0), None, CANCELLED, BAR, ALPHA)
-    assert (name.status, name.kept) == ("impossible", False)
 
 
 @pytest.mark.parametrize(
@@ -344,9 +378,7 @@ def test_an_accelerometer_that_is_off_by_half_is_no_property_of_a_craft(size: fl
         )
     found = flights.settled(flights.fit({"accelerometer_scale"}))
     scale = found["accelerometer_scale.s_x"]
-    said = impossible(
-        with_estimate(found, replace(scale, value=size)), flights, "accelerometer_scale"
-    )
+    said = impossible(with_estimate(found, replace(scale, value=size)), "accelerometer_scale")
     assert why in said and bool(said) == bool(why)
 
 

@@ -100,7 +100,6 @@ def test_a_trace_leaves_only_where_nothing_that_is_said_rests_on_it_or_errors_sh
             causes=small_world.damped().causes,
         ),
         held_out=lambda at: foresight(1.0 + grown * (at.structure == bare.structure)),
-        _odd=lambda _at, _name: "",
         settled=lambda _at: fit,
         warnings=[],
     )
@@ -116,13 +115,16 @@ def test_a_trace_leaves_only_where_nothing_that_is_said_rests_on_it_or_errors_sh
 
 def test_a_name_that_runs_to_a_bound_without_what_left_is_none():
     """Without a lag that had run to a bound itself, a thrust curve was certified at .99 of 1."""
-    whole, _, bare = with_and_without()
+    whole, fit, bare = with_and_without()
+    own = replace(fit["rotational_damping.d_p"], at_bound=True)
+    there = {**fit.parameters, own.name: own}
+    stuck = replace(fit, estimates=replace(fit.estimates, parameters=there))
     alone = small_world.damped().fit(frozenset())
     told = {bare.structure: bare, alone.structure: alone}
     run = SimpleNamespace(
         options=SimpleNamespace(trace=False),
         flights=SimpleNamespace(fit=lambda structure, _starts: told[frozenset(structure)]),
-        _odd=lambda at, name: f"{name}.d_p ran to a bound" if at is bare else "",
+        settled=lambda at: stuck if at is bare else fit,
     )
     run._without_traces = functools.partial(_Run._without_traces, run)
     name, trace = names_of_two()

@@ -16,10 +16,11 @@ from greybox.automatic.held_ahead import HeldAhead
 from greybox.discovery.document import DiscoveryDocument
 from greybox.discovery.further import further
 from greybox.discovery.left import Left
-from greybox.discovery.name import by_errors_ahead, impossible
+from greybox.discovery.name import by_errors_ahead
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import _Run
 from greybox.model.known import NOTHING, Known
+from greybox.validation.sanity import impossible
 from greybox.validation.worth import Worth
 from tests.discovery import small_world
 
@@ -68,11 +69,11 @@ def test_what_no_craft_has_is_no_name_and_what_had_no_room_is_not_idle():
 def test_a_size_that_ran_to_its_bound_is_impossible():
     flights = small_world.damped()
     found = flights.settled(flights.fit({"rotational_damping"}))
-    assert impossible(found, flights, "rotational_damping") == ""
+    assert impossible(found, "rotational_damping") == ""
     damping = found["rotational_damping.d_p"]
     there = {**found.parameters, damping.name: replace(damping, value=9.0, at_bound=True)}
     stuck = replace(found, estimates=replace(found.estimates, parameters=there))
-    assert "d_p ran to a bound" in impossible(stuck, flights, "rotational_damping")
+    assert "d_p ran to a bound" in impossible(stuck, "rotational_damping")
 
 
 @dataclass(frozen=True)

@@ -83,3 +83,13 @@ def test_an_effort_in_words_is_refused():
         GreyboxError, match=r"effort takes an Effort; got 'more'. Usual fix: .*Effort\("
     ):
         DiscoverOptions(effort="more")
+
+
+def test_a_record_of_a_subclass_may_have_fields_of_its_own() -> None:
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Mine(FitOptions):
+        extra: list[int] = dataclasses.field(default_factory=list)
+
+    assert Mine(extra=[1]).extra == [1]
+    with pytest.raises(GreyboxError):
+        Mine(extra=[1], starts="many")  # type: ignore[arg-type]

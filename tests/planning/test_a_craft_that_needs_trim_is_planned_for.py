@@ -3,12 +3,14 @@ trimmed; and manoeuvres that fail only where they follow each other are made sma
 
 from __future__ import annotations
 
+import importlib
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from greybox.errors import GreyboxError
+from greybox.errors import FitError, GreyboxError
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import template_text
 from greybox.planning import plan
@@ -104,3 +106,19 @@ def test_milliseconds_are_no_seconds(seconds):
     """Such a plan was worked on for hours."""
     with pytest.raises(GreyboxError, match=r"too long a flight; expected .* <= 3600 s"):
         plan(crazyflie(), seconds=seconds)
+
+
+def test_a_path_that_is_lost_at_its_last_sample_is_refused_in_one_line(monkeypatch):
+    """Samples of a flight are rounded, so that the last one may lie beyond its last piece."""
+    plan = importlib.import_module("greybox.planning.plan")
+    dt, seconds, flights = 0.0112, 20.0, 6
+
+    def flown(*_):
+        failed = [np.zeros(round(seconds / dt), dtype=bool) for _ in range(flights)]
+        failed[-1][-1] = True
+        return [Trial(log=None, failed=f) for f in failed]
+
+    monkeypatch.setattr(plan, "_flown", flown)
+    split = [[(SimpleNamespace(seconds=5.0), 1.0)] * 4] * flights
+    with pytest.raises(FitError, match="loses its path"):
+        plan._kept(SimpleNamespace(sample_time=dt), None, split)

@@ -297,7 +297,8 @@ def worth_taking(
         return promise > 0 and value.cost - cost < POOR * promise
 
     whole: dict[Way, float] = {moved_by: cost_at(moved_by, 1.0)}
-    if poor(whole[moved_by]):
+    # Without factors the two are one.
+    if poor(whole[moved_by]) and (moved_by(x, step, problem) != straight(x, step, problem)).any():
         whole[straight] = cost_at(straight, 1.0)
     way = min(whole, key=lambda way: whole[way])
     share, costs = 1.0, {1.0: whole[way]}
