@@ -457,7 +457,7 @@ class _Run:
         offered = self.flights.causes
         asked = [n for n in names if n.name in at.structure and n.status != "trace"]
         unsure = [n for n in asked if n.status not in NAMED]
-        each = [[n] for n in sorted(asked, key=lambda n: n.certificate.log_e)]
+        each = [[n] for n in sorted(asked, key=lambda n: n.certificate.log_e) if [n] != unsure]
         for some in [unsure, *each] if unsure else each:
             bare = self.flights.fit(at.structure - {n.name for n in some}, [at.known])
             rest = self._left(null, bare, bare if some is unsure else at)

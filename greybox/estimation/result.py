@@ -191,8 +191,9 @@ class Fit(Shown):
         `feels`) or together: two that are told as a sum may each be nothing."""
         own = [n for n, e in self.of_effect(effect).items() if np.isfinite(e.std)]
         places = [self.correlation_names.index(n) for n in own if n in self.correlation_names]
-        if self.feels(effect) or not places:
-            return self.feels(effect)
+        alone = self.feels(effect)
+        if alone or not places:
+            return alone
         names = [self.correlation_names[i] for i in places]
         null = {d.name: d.null or 0.0 for d in self.model.dynamics.parameters}
         off = np.array([(self[n].value - null[n]) / self[n].std for n in names])

@@ -363,14 +363,12 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
     the bound at which it vanishes is taken as it is; another bound a factor would only near, so
     that a step there lands on it once it is near.
     """
-    lower, level = problem.lower, is_level(problem)
-    size = x - origins(problem)
+    lower, size = problem.lower, x - origins(problem)
     with np.errstate(invalid="ignore", divide="ignore"):
         share = step / size
         factor = (size > 0) & (np.abs(share) <= 1.0) & ((x - size < lower) | (x + step > lower))
-    moved = step.copy()
+    moved = _in_variances(step, problem)
     moved[factor] = size[factor] * np.expm1(share[factor])
-    moved[level] = 0.5 * np.log1p(2.0 * step[level])
     with np.errstate(invalid="ignore"):
         there = factor & (x + step <= lower) & (x + moved - lower < 1e-3 * size)
     moved[there] = (lower - x)[there]
@@ -379,9 +377,14 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
 
 def straight(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
     """x (n,) moved by a step (n,), of noise levels in their variances, within the bounds."""
-    level = is_level(problem)
-    step = np.where(level, 0.5 * np.log1p(2.0 * np.where(level, step, 0.0)), step)
-    return np.clip(x + step, problem.lower, problem.upper)
+    return np.clip(x + _in_variances(step, problem), problem.lower, problem.upper)
+
+
+def _in_variances(step: FloatArray, problem: Objective) -> FloatArray:
+    """A step (n,) with that of noise levels, which are logarithms, taken in their variances."""
+    moved, level = step.copy(), is_level(problem)
+    moved[level] = 0.5 * np.log1p(2.0 * step[level])
+    return moved
 
 
 def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
