@@ -49,6 +49,25 @@ class HeldAhead:
         return name in self.fit.model.effects
 
 
+@dataclass(frozen=True, kw_only=True)
+class Terms:
+    """What holds for all fits that have it: numbers that are `fixed` and `per_flight` (none:
+    decided), and what is `known` of the craft, which goes before its file."""
+
+    fixed: Sequence[str] = ()
+    per_flight: Sequence[str] = ()
+    known: Known = NOTHING
+
+    def of(self, model: PhysicsModel) -> FitChoices:
+        """The terms of the parameters of a model."""
+        there = {d.name for d in model.parameters}
+        every = (*self.fixed, *self.known.held)
+        held, own = ([n for n in names if n in there] for names in (every, self.per_flight))
+        choices = FitChoices(fixed=held) if held else FitChoices()
+        choices |= FitChoices(per_flight=own) if own else FitChoices()
+        return choices | _as_known(self.known, there)
+
+
 def held_ahead(
     model: PhysicsModel,
     asked: Sequence[str],
@@ -57,26 +76,15 @@ def held_ahead(
     span: Span,
     most: int,
     *,
-    fixed: Sequence[str] = (),
-    per_flight: Sequence[str] = (),
-    known: Known = NOTHING,
+    terms: Terms = Terms(),
     say: Say = lambda text: None,
     unable: Say = lambda text: None,
 ) -> HeldAhead | None:
     """The effects of `model` fitted to `data` by errors ahead, without those of the `asked` that
     these do not need, `most` at most, and what the others are worth `span` [s] ahead on flights
-    that judge.
-
-    What is `fixed` and `per_flight` (none: decided) holds for all fits that have it, and what is
-    `known` of the craft goes before its file. None where nothing can be fitted, which `unable` is
-    told. Raises `DataError`, `ModelError`.
+    that judge, on `terms`. None where nothing can be fitted, which `unable` is told. Raises
+    `DataError`, `ModelError`.
     """
-    there = {d.name for d in model.parameters}
-    every = (*fixed, *known.held)
-    held, own = ([n for n in names if n in there] for names in (every, per_flight))
-    choices = FitChoices(fixed=held) if held else FitChoices()
-    choices |= FitChoices(per_flight=own) if own else FitChoices()
-    choices |= _as_known(known, there)
     race = _Race(
         model=model,
         prepared=prepare(
@@ -89,12 +97,12 @@ def held_ahead(
         ),
         judges=judges,
         span=span,
-        choices=choices,
+        choices=terms.of(model),
         price=float(np.log(len(asked))),
     )
     try:
         raced = _raced(race, list(asked), most, say)
-        return replace(raced, fit=on_other_scales(raced.fit, known.untold))
+        return replace(raced, fit=on_other_scales(raced.fit, terms.known.untold))
     except FitError as error:
         unable(UNABLE.format(error))
         return None

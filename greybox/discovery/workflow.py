@@ -14,7 +14,7 @@ from typing import Unpack
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from greybox.automatic.held_ahead import held_ahead, is_bent
+from greybox.automatic.held_ahead import Terms, held_ahead, is_bent
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport
 from greybox.data.halves import demand_apart
@@ -390,9 +390,10 @@ class _Run:
             self.say(text, 0.6 + 0.3 * min(next(done) / len(asked), 3) / 3)
 
         physics = physics_of(self.flights.causes.built(at.structure | search.taken))
-        fits = functools.partial(held_ahead, fixed=o.fixed, per_flight=o.per_flight, known=o.known)
+        terms = Terms(fixed=o.fixed, per_flight=o.per_flight, known=o.known)
         given, unable = (self.flights.data, self.judges, RULES.span, o.max_effects), self.unfitted
-        race = fits(physics, asked, *given, say=say, unable=unable.append) if physics else None
+        fits = functools.partial(held_ahead, terms=terms, say=say, unable=unable.append)
+        race = fits(physics, asked, *given) if physics else None
         if race is None:
             return None
         self._settled[at], self.ahead, self.needed = race.fit, True, self.bar

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import greybox.automatic.held_ahead
-from greybox.automatic.held_ahead import HeldAhead, _at_bound, held_ahead, is_bent
+from greybox.automatic.held_ahead import HeldAhead, Terms, _at_bound, held_ahead, is_bent
 from greybox.errors import FitError
 from greybox.estimation.fit import fit
 from greybox.estimation.result import Fit
@@ -48,7 +48,7 @@ def said() -> list[str]:
 def race(train, judges, said) -> HeldAhead:
     there, most = model(train, *ASKED), len(ASKED)
     held = ("rotor_drag.k_x",)  # on offer, and in no structure on the way
-    return held_ahead(there, ASKED, train, judges, SPAN, most, fixed=held, say=said.append)
+    return held_ahead(there, ASKED, train, judges, SPAN, most, terms=Terms(fixed=held), say=said.append)
 
 
 def test_what_flights_need_stays_and_what_they_do_without_goes(race):
@@ -152,7 +152,8 @@ def test_where_nothing_can_be_fitted_by_errors_ahead_that_is_told(train, judges,
 
 def test_what_is_known_of_the_craft_goes_before_its_file(train, judges, monkeypatch):
     known = Known(prior={TAU: (0.06, 1e-5)}, held={"mass": 0.03})
-    race = held_ahead(model(train, "motor_lag"), ["motor_lag"], train, judges, SPAN, 4, known=known)
+    terms = Terms(known=known)
+    race = held_ahead(model(train, "motor_lag"), ["motor_lag"], train, judges, SPAN, 4, terms=terms)
     assert race is not None
     assert race.fit[TAU].value == pytest.approx(0.06, abs=1e-4), "flights alone say 0.05"
     assert race.fit.model.values["mass"] == 0.03
