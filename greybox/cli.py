@@ -62,9 +62,17 @@ class _Parser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         """As of its base; but what is left over is an error here, not of the outermost parser."""
         known, left = super().parse_known_args(args, namespace)
-        if left:
-            self._left_over(left[0])
-        return known, left
+        if said := [word for word in left if word != "--"]:
+            self._left_over(said[0])
+        return known, []
+
+    def _check_value(self, action: argparse.Action, value: str) -> None:
+        from greybox.errors import UnknownNameError
+
+        if action.choices is not None and value not in action.choices:
+            option = "".join(f"value of {o}" for o in action.option_strings[-1:])
+            kind = option or ("command" if action.nargs == argparse.PARSER else action.dest)
+            self._end(UnknownNameError(kind, value, map(str, action.choices)))
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2 and one line."""

@@ -28,7 +28,13 @@ from greybox.cli import main
         ("plan --rate fast", "greybox plan: argument --rate: invalid float value: 'fast'"),
         ("vehicle new x", "greybox vehicle new: no option says what x is"),
         ("vehicle", "greybox vehicle: the following arguments are required: new|check"),
-        ("fitt", "greybox: argument COMMAND: invalid choice: 'fitt'"),
+        ("fitt", "greybox: unknown command 'fitt'. Usual fix: did you mean fit"),
+        ("completion fishh", "greybox completion: unknown shell 'fishh'. Usual fix: did you mean"),
+        (
+            "fit --train a.csv --input spee",
+            "unknown value of --input 'spee'. Usual fix: did you mean speed",
+        ),
+        ("fit --vehicle v --train b -- a.csv", "Usual fix: --train a.csv, --test a.csv"),
     ],
 )
 def test_it_is_one_line(typed, said, capsys):
