@@ -31,6 +31,8 @@ SCHEMA = "greybox.own_plan/1"
 HOLDS = (0.01, 0.03, 0.1, 0.25, 0.5)
 """Steps between the ends of a range, and between random levels, are held for these shares of a
 piece."""
+LONGEST_SAMPLES = 360_000
+"""The longest experiment: as many samples as an hour of flight at 100 Hz has."""
 SMALLER, TRIES = 0.7, 12
 """Factor, and how often, by which a piece that leaves a limit is made smaller."""
 Range = tuple[float, float]
@@ -191,10 +193,11 @@ def plan_own(
 
 
 def _demand_length(seconds: float, piece: float, sample_time: float) -> None:
-    if not 0 < piece <= seconds < np.inf or piece < 20 * sample_time:
+    longest = LONGEST_SAMPLES * sample_time
+    if not 20 * sample_time <= piece <= seconds <= longest:
         raise GreyboxError(
-            "too short an experiment",
-            expected="20 samples <= --piece <= --seconds",
+            f"too {'long' if seconds > longest else 'short'} an experiment",
+            expected=f"20 samples <= --piece <= --seconds <= {longest:g} s",
             got=f"{piece:g} s and {seconds:g} s",
             fix="--seconds 60 --piece 5",
         )

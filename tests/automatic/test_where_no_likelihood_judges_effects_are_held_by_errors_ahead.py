@@ -48,7 +48,9 @@ def said() -> list[str]:
 def race(train, judges, said) -> HeldAhead:
     there, most = model(train, *ASKED), len(ASKED)
     held = ("rotor_drag.k_x",)  # on offer, and in no structure on the way
-    return held_ahead(there, ASKED, train, judges, SPAN, most, terms=Terms(fixed=held), say=said.append)
+    return held_ahead(
+        there, ASKED, train, judges, SPAN, most, terms=Terms(fixed=held), say=said.append
+    )
 
 
 def test_what_flights_need_stays_and_what_they_do_without_goes(race):

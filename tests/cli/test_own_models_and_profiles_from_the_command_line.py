@@ -209,7 +209,9 @@ def test_profiles_that_were_stopped_go_on(
     assert {p.name for p in (bench / "q").iterdir()} == {"profile.json", "report.html"}
 
 
-def test_planned_inputs_keep_ranges_and_limits(bench: Path) -> None:
+def test_planned_inputs_keep_ranges_and_limits(
+    bench: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     plan = [
         "--quiet",
         "plan",
@@ -220,6 +222,8 @@ def test_planned_inputs_keep_ranges_and_limits(bench: Path) -> None:
         "--limit",
         "level=-1,1",
     ]
+    assert main([*plan, "--seconds", "1e9", "--out", f"{bench}/plan"]) == 2
+    assert "too long an experiment; expected 20 samples <= " in capsys.readouterr().err
     assert main([*plan, "--seconds", "40", "--piece", "10", "--out", f"{bench}/plan"]) == 0
     columns = np.genfromtxt(bench / "plan" / "experiment_1.csv", delimiter=",", names=True)
     assert (
