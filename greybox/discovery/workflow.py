@@ -235,15 +235,14 @@ class _Run:
             interim=lambda at: self._keep(search, at, None),
             hopeless=self._hopeless,
         )
-        null = self.flights.fit(causes.base)
-        names, at, left = self._answer(search, null)
+        names, at, left = self._answer(search)
         found = self.settled(at)
-        before = left_over(self.flights, null, self.settled(null), self.bar, seed=0)
+        before = left_over(self.flights, self.null, self.settled(self.null), self.bar, seed=0)
         self.warnings += [f"the last fit: {found.status.advice}"] * (not found.converged)
         self.say("gap", 0.9)
         found = self.judges.judged(found)
         written = left.written and self.judges.judged(self.settled(left.written))
-        rows = self._gap(null, self.last or at, left.written)
+        rows = self._gap(self.last or at, left.written)
         scores = None if self.ahead else search.scores
         taught = sum(f.n for f in self.flights.data)
         share = 0.5 if self.test is None else self.judges.samples / max(taught, 1)
@@ -273,11 +272,11 @@ class _Run:
             ahead=self.ahead,
         )
 
-    def _answer(self, search: Search, null: Fitted) -> Answer:
+    def _answer(self, search: Search) -> Answer:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
-        last, then = search.run(null), self.then
-        said_ahead = self._by_errors_ahead(search, null, last)
+        null, then, last = self.null, self.then, search.run(self.null)
+        said_ahead = self._by_errors_ahead(search, last)
         if then and (line := then.unchanged(self.held_out(last), search.added(last), RULES.span)):
             self.unchanged, self.last, self.needed, self.ahead = line, last, self.bar, False
             return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
@@ -293,7 +292,7 @@ class _Run:
             self._keep(search, at, names)
             named = self.flights.arrived(named)
             self.say("what is left", 0.8)
-            left, with_laws = self._left(null, named), self.flights.causes
+            left, with_laws = self._left(named), self.flights.causes
             self.flights.causes = offered
             more = None if left.written is None else search.every(at)
             more, self.warnings = (search.run(more), said) if more else (None, self.warnings)
@@ -302,13 +301,13 @@ class _Run:
             more_said = f"{', '.join(full)} would make the flights likelier, too: --max-effects"
             self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
         if left.unnamed and left.written is None:
-            names, named, left = self._laws_instead(null, names, named) or (names, named, left)
+            names, named, left = self._laws_instead(names, named) or (names, named, left)
         doubted = (n for n in names if n.kept and n.status != "trace")
         worse = {n.name for n in doubted if n.worth and n.worth.harms}
         if left.written is not None:
             names = [held(n) for n in names]
             while (fewer := self._beside_laws(names, named, left.written))[1] is not named:
-                rest = self._left(null, fewer[1])
+                rest = self._left(fewer[1])
                 if rest.written is None:
                     break  # the names had said what the laws say
                 (names, named), left = fewer, rest  # even fewer may be needed beside these laws
@@ -317,7 +316,7 @@ class _Run:
             named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))
             rest = left_over(self.flights, named, self.settled(named), self.bar, seed=0)
             left = replace(rest, doubts=left.doubts)
-        return self._by_errors_ahead(search, null, named, names, left) or (names, named, left)
+        return self._by_errors_ahead(search, named, names, left) or (names, named, left)
 
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
         """Save what is known where the search stands; `names` are what was said of causes there."""
@@ -357,17 +356,19 @@ class _Run:
         return then.beats(self.held_out(at), RULES.span) if then else asked > 0 and self.bent(at)
 
     def bent(self, at: Fitted, lawful: Fitted | None = None) -> bool:
-        """Whether the likelihood is no judge of names of a vehicle, see `is_bent`, asked once."""
+        """Whether the likelihood is no judge of names of a vehicle, asked once: see `is_bent`; or it
+        named what force and torque without a name stand against on the flights that judge."""
         if (at, lawful) not in self._bent and physics_of(self.settled(at).model.dynamics):
-            laws = self.settled(lawful).model if lawful else None
-            asked = self.settled(at), self.flights.data, self.judges, RULES.span, RULES.law, laws
-            self._bent[at, lawful] = is_bent(*asked, self.options.known, self.unfitted.append)
+            found, laws = self.settled(at), self.settled(lawful).model if lawful else None
+            given = self.flights.data, self.judges, RULES.span, RULES.law, laws, self.options.known
+            rows = self.judges.rows(self.before, laws or found.model)
+            opposed = any(r.doubtful for r in rows)
+            self._bent[at, lawful] = opposed or is_bent(found, *given, self.unfitted.append)
         return self._bent.get((at, lawful), False)
 
     def _by_errors_ahead(
         self,
         search: Search,
-        null: Fitted,
         at: Fitted,
         names: Sequence[Name] = (),
         left: Left | None = None,
@@ -380,7 +381,7 @@ class _Run:
         if not search.added(at) or not self.bent(at):
             return None
         if left is None:
-            offered, left = self.flights.causes, self._left(null, at)
+            offered, left = self.flights.causes, self._left(at)
             self.flights.causes = offered
         if left.written is not None and not self.bent(at, left.written):
             return None
@@ -401,6 +402,15 @@ class _Run:
         said = [by_errors_ahead(n, race, odd[n], self.bar) for n in asked]
         others = [n for n in names if n.name not in asked]
         return [*said, *others], at, replace(left, written=None)
+
+    @functools.cached_property
+    def null(self) -> Fitted:
+        return self.flights.fit(self.flights.causes.base)
+
+    @property
+    def before(self) -> HeldOutErrors | None:
+        """What the model of then, or the base, foretells of the flights that judge."""
+        return self.then.errors if self.then else self.held_out(self.null)
 
     @functools.cached_property
     def then(self) -> Then | None:
@@ -451,7 +461,7 @@ class _Run:
             return names, bare
         return [stays(n, moved) if n.name in traces & gone else n for n in names], whole
 
-    def _laws_instead(self, null: Fitted, names: list[Name], at: Fitted) -> Answer | None:
+    def _laws_instead(self, names: list[Name], at: Fitted) -> Answer | None:
         """Names, structure and what is left with laws in the place of all causes of the structure
         `at` that have no name, or of one cause, which make the flights clearly likelier and foretell
         no worse than a name: it stood in for them. None where none do."""
@@ -461,7 +471,7 @@ class _Run:
         each = [[n] for n in sorted(asked, key=lambda n: n.certificate.log_e) if [n] != unsure]
         for some in [unsure, *each] if unsure else each:
             bare = self.flights.fit(at.structure - {n.name for n in some}, [at.known])
-            rest = self._left(null, bare, bare if some is unsure else at)
+            rest = self._left(bare, bare if some is unsure else at)
             gain = rest.written.log_evidence - at.log_evidence if rest.written else -np.inf
             if gain >= self.bar:
                 return [out_done(n, gain) if n in some else n for n in names], bare, rest
@@ -480,19 +490,18 @@ class _Run:
         names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
         return names, self.flights.fit(at.structure - gone, [at.known])
 
-    def _left(self, null: Fitted, at: Fitted, next_to: Fitted | None = None) -> Left:
+    def _left(self, at: Fitted, next_to: Fitted | None = None) -> Left:
         doubts, o = list[str](), self.options
-        holds = functools.partial(self._holds, null, next_to or at, doubts)
+        holds = functools.partial(self._holds, next_to or at, doubts)
         try:
             found = left_over(self.flights, at, self.settled(at), self.bar, o.seed, holds=holds)
         except GreyboxError as error:
             return Left(axes=(), doubts=(f"what is left could not be looked at: {error}",))
         return replace(found, doubts=tuple(doubts))
 
-    def _holds(self, null: Fitted, at: Fitted, doubts: list[str], written: Fitted) -> bool:
+    def _holds(self, at: Fitted, doubts: list[str], written: Fitted) -> bool:
         """Whether laws foretell no worse than the names of `at` on the flights that judge."""
-        grown = outgrown(*(self.held_out(f) for f in (null, at, written)))
-        if grown:
+        if grown := outgrown(*(self.held_out(f) for f in (self.null, at, written))):
             laws = ", ".join(sorted(written.structure - at.structure))
             said = f"laws were found ({laws}) and are not written: on the flights that judge errors"
             doubts.append(f"{said} grow with them ({', '.join(grown)})")
@@ -504,22 +513,21 @@ class _Run:
             self.say(f"what separates {', '.join(' and '.join(n.shares) for n in alike)}", 0.97)
         return {n.name: separating(self.flights, at, n) for n in alike}
 
-    def _gap(self, null: Fitted, at: Fitted, written: Fitted | None) -> list[GapRow]:
+    def _gap(self, at: Fitted, written: Fitted | None) -> list[GapRow]:
         if self.test is None:
             self.warnings += [
                 "without --test flights causes were chosen on those that judge them, by halves, and "
                 "the gap: e-values are then too large by what choosing gains"
             ]
-        before = self.then.errors if self.then else self.held_out(null)
         lawful, learned = self.held_out(written) if written else None, None
         if self.options.attainable:
             self.say("attainable line", 0.95)
             try:
-                bare = self.settled(null).model
+                bare = self.settled(self.null).model
                 learned = attainable(bare, self.flights.data, self.judges, self.options.seed)
             except GreyboxError as error:
                 self.warnings.append(f"no attainable line: {error}")
-        rows = self.judges.rows(before, self.settled(at).model, lawful, learned)
+        rows = self.judges.rows(self.before, self.settled(at).model, lawful, learned)
         if not rows:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
         self.warnings += [] if self.last else worsened(rows)

@@ -33,6 +33,7 @@ def said(times: int) -> tuple[list[str], Any]:
 
     run: Any = SimpleNamespace(
         then=None,
+        null=structure("lag", "curve", "drag"),
         bent=lambda _at: False,
         warnings=[],
         flights=SimpleNamespace(causes=None, arrived=lambda at: at),
@@ -50,7 +51,7 @@ def said(times: int) -> tuple[list[str], Any]:
         every=lambda _: None,
         crowded_out=lambda _: [],
     )
-    names, at, _ = _Run._answer(run, search, structure("lag", "curve", "drag"))
+    names, at, _ = _Run._answer(run, search)
     return [n.name for n in names], at.names
 
 
@@ -74,7 +75,7 @@ def instead(unsure: Sequence[str] = (), **evidence: float) -> tuple[Any, list[bo
     flights = SimpleNamespace(causes="offered", fit=lambda names, _: structure(*sorted(names)))
     held_against: list[bool] = []
 
-    def left(_null: Any, bare: Any, next_to: Any) -> Left:
+    def left(bare: Any, next_to: Any) -> Left:
         flights.causes = "with laws"
         gone = "_".join(sorted({"drag", "wind", "lag"} - set(bare.names)))
         law: Any = SimpleNamespace(log_evidence=evidence.get(gone, -1e9))
@@ -93,7 +94,7 @@ def instead(unsure: Sequence[str] = (), **evidence: float) -> tuple[Any, list[bo
         for n, e in sure.items()
     ]
     at: Any = SimpleNamespace(structure=frozenset(sure), known={}, log_evidence=100.0)
-    found = _Run._laws_instead(run, structure(), names, at)
+    found = _Run._laws_instead(run, names, at)
     assert flights.causes == ("offered" if found is None else "with laws")
     return found, held_against
 
