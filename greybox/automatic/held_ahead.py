@@ -28,8 +28,9 @@ from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import NOTHING, Known
 from greybox.model.model import PhysicsModel
+from greybox.statistics.blocks import clearly
 from greybox.validation.judges import Judges
-from greybox.validation.worth import Span, Worth, clearly, seconds, worth
+from greybox.validation.worth import Span, Worth, seconds, worth
 
 UNABLE = "names rest on the likelihood alone: nothing can be fitted by errors ahead ({})"
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from greybox.symbolic import FloatArray
+
 BLOCK_SECONDS = 0.5
 """Length [s] of the blocks over which scores are summed: longer than what innovations are
 correlated over.
@@ -15,3 +19,10 @@ covariance matrix", Econometrica 55(3), 1987).
 def block_samples(dt: float, seconds: float = BLOCK_SECONDS) -> int:
     """Samples, at least one, of a block of `seconds` [s] at the sample time `dt` [s]."""
     return max(1, round(seconds / dt))
+
+
+def clearly(changes: FloatArray) -> bool:
+    """Whether the mean of the changes (n,) of every second is above zero by two standard errors."""
+    if changes.size < 2:
+        return False
+    return bool(changes.mean() > 2 * np.std(changes) / np.sqrt(changes.size - 1))

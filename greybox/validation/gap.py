@@ -26,6 +26,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.noise import sensor_parts
 from greybox.model.sensors import SENSORS
+from greybox.statistics.blocks import clearly
 from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.baselines import (
@@ -176,9 +177,9 @@ def closing(rows: Iterable[GapRow]) -> list[str]:
 def outgrown(
     before: HeldOutErrors | None, named: HeldOutErrors | None, lawful: HeldOutErrors | None
 ) -> list[str]:
-    """Groups and horizons in which names and laws close clearly less (a tenth of the gap) than the
-    names alone, beyond one sample, which is the sensors' and the filter's; a word where one of them
-    foretells nothing (None)."""
+    """Groups and horizons in which names and laws close clearly less (a tenth of the gap, and more
+    than one reading and chance) than the names alone, beyond one sample, which is the sensors' and
+    the filter's; a word where one of them foretells nothing (None)."""
     if before is None or named is None or lawful is None:
         return ["nothing is foretold"]
     sides = (before.own, before.floor), (named.own, named.floor)
@@ -189,7 +190,17 @@ def outgrown(
         and r.closed is not None
         and r.with_proposals is not None
         and r.with_proposals < min(r.closed, 1.0) - TENTH  # below the floor all is closed
+        and _felt(named, lawful, (r.group, r.horizon_s))
     ]
+
+
+def _felt(named: HeldOutErrors, lawful: HeldOutErrors, key: tuple[str, float]) -> bool:
+    """Whether errors grow by more than the squared error of one reading, as a name has to remove,
+    and by more than chance: a tenth of a gap that is next to nothing is nothing."""
+    old, new = ([b.sum() for b in side.own[key]] for side in (named, lawful))
+    grown = np.array(new) - np.array(old)
+    size = sum(b.size for b in named.own[key])
+    return clearly(grown) and float(grown.sum()) > size * named.reading.get(key[0], 0.0)
 
 
 def doubt(rows: Iterable[GapRow]) -> str:

@@ -16,10 +16,11 @@ import numpy as np
 
 from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
+from greybox.statistics.blocks import clearly
 from greybox.validation.gap import HeldOutErrors
 from greybox.validation.judges import Judges
 from greybox.validation.validate import verdict_on
-from greybox.validation.worth import Span, clearly, seconds
+from greybox.validation.worth import Span, seconds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.statistics.betting import betting
+from greybox.statistics.blocks import clearly
 from greybox.symbolic import FloatArray
 from greybox.validation.against import TRACE
 from greybox.validation.gap import HeldOutErrors
@@ -70,13 +71,6 @@ def worth(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> Worth:
         seconds=int(changes.size),
         harms=clearly(-changes),
     )
-
-
-def clearly(changes: FloatArray) -> bool:
-    """Whether the mean of the changes (n,) of every second is above zero by two standard errors."""
-    if changes.size < 2:
-        return False
-    return bool(changes.mean() > 2 * np.std(changes) / np.sqrt(changes.size - 1))
 
 
 def seconds(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> FloatArray:

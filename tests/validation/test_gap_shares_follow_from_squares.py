@@ -109,6 +109,28 @@ def test_laws_with_which_errors_grow_are_found_by_group():
     assert outgrown(before, named, None) == ["nothing is foretold"]
 
 
+@pytest.mark.parametrize(
+    ("lawful", "reading", "spread", "grown"),
+    [
+        (1.3, 0.0, 0.0, True),
+        (1.3, 0.5, 0.0, False),  # the sensor would not show it
+        (1.6, 0.5, 0.0, True),
+        (1.2, 0.0, 1.0, False),  # nor is it beyond chance
+    ],
+)
+def test_laws_are_not_held_against_what_is_less_than_a_reading_or_chance(
+    lawful: float, reading: float, spread: float, grown: bool
+):
+    """A tenth of a gap that is next to nothing is next to nothing."""
+
+    def errors(level: float, spread: float = 0.0) -> HeldOutErrors:
+        own, floor = blocks(level, seed=2, spread=spread), blocks(0.9)
+        return HeldOutErrors(own=own, floor=floor, reading={"rate": reading})
+
+    found = outgrown(errors(1.5), errors(1.0), errors(lawful, spread))
+    assert bool(found) == grown
+
+
 @pytest.mark.parametrize(("seen", "why"), [(0.5, "stands against"), (3.0, "of a feedback")])
 def test_what_got_worse_has_a_reason(seen: float, why: str):
     """Errors that fall with what the filter sees stand against it; others are a feedback's."""
