@@ -29,6 +29,7 @@ from greybox.model.sensors import SENSORS
 from greybox.statistics.blocks import clearly
 from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import adapt_to_flight
+from greybox.validation.against import TRACE
 from greybox.validation.baselines import (
     ImuBias,
     bias_at_start,
@@ -102,8 +103,9 @@ class GapRow:
 
     @property
     def worse(self) -> bool:
-        """Whether it clearly got worse."""
-        return self.opened or (self.ci95 is not None and self.ci95[1] < 0)
+        """Whether it clearly got worse, by more than a trace."""
+        felt = self.after**2 > (1 + TRACE) * self.before**2
+        return self.opened or (felt and self.ci95 is not None and self.ci95[1] < 0)
 
     @property
     def opposed(self) -> bool:

@@ -146,6 +146,7 @@ def test_what_got_worse_has_a_reason(seen: float, why: str):
     assert ("alone it foretells rate worse" in doubt(worse)) is (why == "stands against")
     assert ("`greybox fit --from`" in doubt(worse)) is (why == "stands against")
     assert doubt([replace(r, after=1.05 * r.before) for r in worse]) == ""
+    assert worsened([replace(r, after=1.004 * r.before) for r in worse]) == [], "a trace"
 
 
 def test_what_got_worse_is_said_where_no_filter_could_be_asked():
