@@ -17,8 +17,7 @@ from greybox.validation.gap import GapDocument
 
 
 class WorthRow(TypedDict):
-    """What a name removes of the squared error of a group, ahead by a horizon, and the e-value of
-    that on so many seconds of flight."""
+    """Share of the squared error that a name removes, where, and its e-value on so many seconds."""
 
     share: float
     group: str
@@ -63,8 +62,7 @@ class NamedRow(Grounds):
 
 
 class UnnamedRow(Grounds):
-    """What was asked and has no name, with the reason; `in_model`: it is in the model all the
-    same."""
+    """What was asked and has no name, and why; `in_model`: it is in the model all the same."""
 
     reason: str
     in_model: NotRequired[bool]

@@ -57,8 +57,7 @@ class DiscoverOptions:
     trace: bool = False
     """Whether what is certain but worth nothing stays in the model."""
     since: IdentifiedModel | None = None
-    """A model from which on changes are sought: its effects are known, its numbers with their
-    covariance the prior."""
+    """A model from which on changes are sought: effects are known, its numbers the prior."""
     effort: Effort = EFFORT
     """How much is tried; decides nothing."""
     seed: int = 0

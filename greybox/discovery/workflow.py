@@ -237,7 +237,6 @@ class _Run:
         )
         names, at, left = self._answer(search)
         found = self.settled(at)
-        before = left_over(self.flights, self.null, self.settled(self.null), self.bar, seed=0)
         self.warnings += [f"the last fit: {found.status.advice}"] * (not found.converged)
         self.say("gap", 0.9)
         found = self.judges.judged(found)
@@ -254,7 +253,7 @@ class _Run:
             verdict=verdict_of({n.status for n in names}, bool(left.unnamed or memory_of(found))),
             names=tuple(names),
             left=left,
-            before=before.axes,
+            before=self._rest(self.null).axes,
             gap=tuple(rows),
             gap_on="train" if self.test is None else "test",
             bar=self.needed,
@@ -275,11 +274,11 @@ class _Run:
     def _answer(self, search: Search) -> Answer:
         """The names, the structure with what is said, and what it leaves. A law is said only where
         no cause on offer, each fitted beside what was found, takes its place."""
-        null, then, last = self.null, self.then, search.run(self.null)
+        then, last = self.then, search.run(self.null)
         said_ahead = self._by_errors_ahead(search, last)
         if then and (line := then.unchanged(self.held_out(last), search.added(last), RULES.span)):
             self.unchanged, self.last, self.needed, self.ahead = line, last, self.bar, False
-            return [], null, left_over(self.flights, null, self.settled(null), self.bar, seed=0)
+            return [], self.null, self._rest(self.null)
         if said_ahead:
             return said_ahead
         if not then:  # the likelihood judges, beside laws if not alone: all swaps count
@@ -300,8 +299,8 @@ class _Run:
         if full := search.crowded_out(at):
             more_said = f"{', '.join(full)} would make the flights likelier, too: --max-effects"
             self.warnings.append(f"as many effects as were asked for ({search.most}); {more_said}")
-        if left.unnamed and left.written is None:
-            names, named, left = self._laws_instead(names, named) or (names, named, left)
+        while left.unnamed and (instead := self._laws_instead(names, named, left)):
+            names, named, left = instead
         doubted = (n for n in names if n.kept and n.status != "trace")
         worse = {n.name for n in doubted if n.worth and n.worth.harms}
         if left.written is not None:
@@ -314,15 +313,14 @@ class _Run:
         elif worse:
             names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
             named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))
-            rest = left_over(self.flights, named, self.settled(named), self.bar, seed=0)
-            left = replace(rest, doubts=left.doubts)
+            left = replace(self._rest(named), doubts=left.doubts)
         return self._by_errors_ahead(search, named, names, left) or (names, named, left)
 
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
         """Save what is known where the search stands; `names` are what was said of causes there."""
         found = self._so_far(self.settled(at).judged(STOPPED))
-        said = so_far(search.added(at), names)
-        self.save(replace(found, so_far=said, steps=tuple(search.steps)))
+        told = so_far(search.added(at), names)
+        self.save(replace(found, so_far=told, steps=tuple(search.steps)))
 
     def _so_far(self, found: Fit) -> Discovery:
         return Discovery(
@@ -361,8 +359,7 @@ class _Run:
         if (at, lawful) not in self._bent and physics_of(self.settled(at).model.dynamics):
             found, laws = self.settled(at), self.settled(lawful).model if lawful else None
             given = self.flights.data, self.judges, RULES.span, RULES.law, laws, self.options.known
-            rows = self.judges.rows(self.before, laws or found.model)
-            opposed = any(r.doubtful for r in rows)
+            opposed = any(r.doubtful for r in self.judges.rows(self.before, laws or found.model))
             self._bent[at, lawful] = opposed or is_bent(found, *given, self.unfitted.append)
         return self._bent.get((at, lawful), False)
 
@@ -409,12 +406,10 @@ class _Run:
 
     @property
     def before(self) -> HeldOutErrors | None:
-        """What the model of then, or the base, foretells of the flights that judge."""
         return self.then.errors if self.then else self.held_out(self.null)
 
     @functools.cached_property
     def then(self) -> Then | None:
-        """The model from which on changes are sought, on the flights that judge."""
         return Then.on(self.options.since, self.judges)
 
     def _named(self, at: Fitted, rivals: Mapping[str, Sequence[Rival]]) -> Judged:
@@ -461,26 +456,29 @@ class _Run:
             return names, bare
         return [stays(n, moved) if n.name in traces & gone else n for n in names], whole
 
-    def _laws_instead(self, names: list[Name], at: Fitted) -> Answer | None:
+    def _laws_instead(self, names: list[Name], at: Fitted, left: Left) -> Answer | None:
         """Names, structure and what is left with laws in the place of all causes of the structure
         `at` that have no name, or of one cause, which make the flights clearly likelier and foretell
-        no worse than a name: it stood in for them. None where none do."""
-        offered = self.flights.causes
+        no worse than a name: it stood in for them. Next to laws that are `left`, one whose numbers
+        these take over is asked. None where none do."""
+        offered, best = self.flights.causes, left.written or at
         asked = [n for n in names if n.name in at.structure and n.status != "trace"]
+        if left.written:
+            bent = {p.split(".")[0] for p in moved_names(names, self.settled(at), best)}
+            asked = [n for n in asked if n.status in NAMED and n.name in bent]
         unsure = [n for n in asked if n.status not in NAMED]
         each = [[n] for n in sorted(asked, key=lambda n: n.certificate.log_e) if [n] != unsure]
         for some in [unsure, *each] if unsure else each:
             bare = self.flights.fit(at.structure - {n.name for n in some}, [at.known])
-            rest = self._left(bare, bare if some is unsure else at)
-            gain = rest.written.log_evidence - at.log_evidence if rest.written else -np.inf
+            rest = self._left(bare, bare if some is unsure else best)
+            gain = rest.written.log_evidence - best.log_evidence if rest.written else -np.inf
             if gain >= self.bar:
                 return [out_done(n, gain) if n in some else n for n in names], bare, rest
             self.flights.causes = offered
         return None
 
     def _beside_laws(self, names: list[Name], at: Fitted, laws: Fitted) -> Judged:
-        """Names that fade next to the laws that won and are not needed there are none (they had
-        bent), and the structure without them."""
+        """Names, without a name where laws that won need them no more, and the structure so."""
         asked = [n.name for n in names if n.name in laws.structure]
         judges = splits(self.flights, self.test)
         beside = certificates_beside(self.flights, laws, asked, judges, self.bar)
@@ -489,6 +487,9 @@ class _Run:
             return names, at
         names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
         return names, self.flights.fit(at.structure - gone, [at.known])
+
+    def _rest(self, at: Fitted) -> Left:
+        return left_over(self.flights, at, self.settled(at), self.bar, seed=0)
 
     def _left(self, at: Fitted, next_to: Fitted | None = None) -> Left:
         doubts, o = list[str](), self.options

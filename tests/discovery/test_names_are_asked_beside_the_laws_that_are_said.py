@@ -69,9 +69,12 @@ def test_until_no_name_leaves_beside_the_laws_or_none_win(times: int, stay: list
     assert list(at) == stay
 
 
-def instead(unsure: Sequence[str] = (), **evidence: float) -> tuple[Any, list[bool]]:
+def instead(
+    unsure: Sequence[str] = (), beside: Any = None, **evidence: float
+) -> tuple[Any, list[bool]]:
     """(What is said of drag, wind and lag, of which a law in the place of each has this log
-    evidence where all three have 100, and whether laws were held against names)."""
+    evidence where all three have 100, or what they have `beside` laws, and whether laws were held
+    against names)."""
     flights = SimpleNamespace(causes="offered", fit=lambda names, _: structure(*sorted(names)))
     held_against: list[bool] = []
 
@@ -79,10 +82,13 @@ def instead(unsure: Sequence[str] = (), **evidence: float) -> tuple[Any, list[bo
         flights.causes = "with laws"
         gone = "_".join(sorted({"drag", "wind", "lag"} - set(bare.names)))
         law: Any = SimpleNamespace(log_evidence=evidence.get(gone, -1e9))
-        held_against.append(next_to is not bare)
+        held_against.append(next_to is (beside or at))
         return Left(axes=(), written=law if gone in evidence else None)
 
-    run: Any = SimpleNamespace(flights=flights, bar=5.0, _left=left)
+    told = {f"{n}.c": SimpleNamespace(value=1.0, std=0.1) for n in ("drag", "wind", "lag")}
+    own = SimpleNamespace(parameters=[SimpleNamespace(name=n) for n in told])
+    settled: Any = SimpleNamespace(parameters=told, model=SimpleNamespace(dynamics=own))
+    run: Any = SimpleNamespace(flights=flights, bar=5.0, _left=left, settled=lambda _: settled)
     sure = {"drag": 80.0, "wind": 15.0, "lag": 40.0}
     names = [
         replace(
@@ -94,7 +100,7 @@ def instead(unsure: Sequence[str] = (), **evidence: float) -> tuple[Any, list[bo
         for n, e in sure.items()
     ]
     at: Any = SimpleNamespace(structure=frozenset(sure), known={}, log_evidence=100.0)
-    found = _Run._laws_instead(run, names, at)
+    found = _Run._laws_instead(run, names, at, Left(axes=(), written=beside))
     assert flights.causes == ("offered" if found is None else "with laws")
     return found, held_against
 
@@ -124,3 +130,20 @@ def test_laws_that_say_hardly_more_take_no_name() -> None:
     found, against = instead(wind=104.0)
     assert found is None
     assert len(against) == 3
+
+
+@pytest.mark.parametrize(
+    ("moved", "evidence", "gone"), [(0.0, 900.0, True), (0.9, 900.0, False), (0.0, 504.0, False)]
+)
+def test_a_name_that_laws_take_over_is_asked_whether_they_want_all_of_it(
+    moved: float, evidence: float, gone: bool
+) -> None:
+    """A drag that is linear in the velocity was said by laws along x and y, and was a quadratic
+    one along z: what the laws took over was the name's."""
+    known = {("drag.c", None): moved, ("wind.c", None): 1.0, ("lag.c", None): 1.0}
+    laws: Any = SimpleNamespace(log_evidence=500.0, known=known)
+    found, against = instead(beside=laws, drag=evidence, wind=900.0, lag=900.0)
+    assert (found is not None) == gone
+    assert against == ([] if moved else [True]), "the others stand where they stood"
+    if found:
+        assert [n.name for n in found[0] if n.status == "certified"] == ["wind", "lag"]

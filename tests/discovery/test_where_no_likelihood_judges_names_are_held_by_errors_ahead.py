@@ -125,6 +125,7 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             settled=lambda _: SimpleNamespace(model=SimpleNamespace(dynamics=None)),
             _settled={},
             _left=lambda *_: Left(axes=(), written=LAWS if lawful else None),
+            _rest=lambda _: Left(axes=()),
             _named=lambda *_: (by_likelihood, NAMED),
             _keep=lambda *_: None,
             _beside_laws=lambda names, at, _laws: (names, at),
@@ -182,8 +183,7 @@ def test_what_has_changed_is_asked_of_a_model_that_was_fitted_by_errors_ahead(an
     assert straight.asked == [(LAST, "by likelihood")]
 
 
-def test_where_nothing_has_changed_nothing_is_named_by_errors_ahead(answered, monkeypatch):
-    monkeypatch.setattr(greybox.discovery.workflow, "left_over", lambda *_, **_said: Left(axes=()))
+def test_where_nothing_has_changed_nothing_is_named_by_errors_ahead(answered):
     names, at, _, ahead = answered(LAST, then=Then("NOTHING HAS CHANGED"))
     assert (names, at, ahead) == ({}, LAST, False)
 
