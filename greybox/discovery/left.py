@@ -92,9 +92,8 @@ def left_over(
     wanted = [a for a, (_, needed) in gains.items() if needed]
     if wanted and holds:
         with contextlib.suppress(GreyboxError):
-            offered = library(
-                without_memory(settled, data), model, data, names, wanted, settled.parameters
-            )
+            plain = without_memory(settled, data)
+            offered = library(plain, model, data, names, wanted, settled.parameters)
             found = laws_of(offered, sum(f.n for f in data.flights), seed)
     axes = tuple(
         Axis(
@@ -138,7 +137,9 @@ def _raced(
         for cause, law in zip(causes, lawful, strict=True):
             start |= {(f"{cause.name}.c_{i}", None): c for i, c in enumerate(law.terms.values(), 1)}
         (written,) = flights.contest([(at.structure | {c.name for c in causes}, [start])], at)
-        won = written.log_evidence >= at.log_evidence + bar and holds(written)
+        likelier = written.log_evidence >= at.log_evidence + bar
+        written = flights.arrived(written) if likelier else written
+        won = likelier and holds(written)
     except GreyboxError:
         won = False
     if not won:

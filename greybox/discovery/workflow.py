@@ -237,10 +237,11 @@ class _Run:
         )
         names, at, left = self._answer(search)
         found = self.settled(at)
-        self.warnings += [f"the last fit: {found.status.advice}"] * (not found.converged)
         self.say("gap", 0.9)
         found = self.judges.judged(found)
         written = left.written and self.judges.judged(self.settled(left.written))
+        ends = [f for f in (found, written) if f and not f.converged]
+        self.warnings += [f"the last fit: {f.status.advice}" for f in ends]
         rows = self._gap(self.last or at, left.written)
         scores = None if self.ahead else search.scores
         taught = sum(f.n for f in self.flights.data)

@@ -17,8 +17,9 @@ from greybox.model.model import build_model
 from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.bends import Bends
 from greybox.residual.laws.found import is_law, laws_of
-from greybox.residual.laws.responses import Library, Normal, responses, stretches
-from greybox.residual.laws.selection import forward, left_out, select, solve
+from greybox.residual.laws.normal_equations import Normal, solve
+from greybox.residual.laws.responses import Library, _rows, noise_scales, responses, stretches
+from greybox.residual.laws.selection import forward, left_out, select
 from greybox.residual.laws.terms import terms
 from tests.discovery.small_world import flown, vehicle
 
@@ -255,3 +256,25 @@ def test_responses_are_what_a_force_does_to_the_innovations():
         assert yy == pytest.approx((change**2).sum(), rel=1e-9)
         assert yy > 1e-3
         assert yy - 2 * xy + xx < 1e-3 * yy
+
+
+def test_channels_are_weighed_by_what_a_steady_push_leaves_of_them():
+    """A thrust that lacks a third is steady, and what a law has of it small beside that: a fit with
+    white noise takes the whole for noise."""
+    data = flown(seconds=3.0)
+    (segment,) = next(iter(data)).segments
+    model = fit(build_model(vehicle(), data.channels), data, initialisation="noise").model
+    runner, lin = Filter(model), Linearisation(model.dynamics, ())
+    run, place = runner.run(segment), [model.dynamics.noises["force.z"]]
+    bends, n = Bends.of(model.dynamics, {}), segment.n
+    rows = _rows(runner, lin, run, np.ones((n, 1)), place, [slice(0, n)], None)
+    pushed = np.concatenate([out[:, :, 0] for _, _, out, _ in rows])
+    deviations = np.sqrt(np.diagonal(run.covariance, axis1=1, axis2=2))[run.gains.pattern]
+    noise = 0.1 * deviations * np.random.default_rng(0).standard_normal(deviations.shape)
+    push = 30.0 / np.sqrt(((pushed / deviations) ** 2).mean(0).max())
+    moved = replace(run, innovations=push * pushed + noise)
+    there = run.gains.there[run.gains.pattern].any(axis=0)
+    with_push = noise_scales(runner, lin, [moved], place, bends)
+    assert with_push[there] == pytest.approx(0.1, rel=0.3)
+    without = noise_scales(runner, lin, [moved], [], bends)
+    assert without.max() == pytest.approx(30.0, rel=0.01)

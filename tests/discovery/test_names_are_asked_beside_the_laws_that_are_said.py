@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from greybox.discovery.certificate import Certificate
-from greybox.discovery.left import Left
+from greybox.discovery.left import Left, _raced
 from greybox.discovery.name import Name
 from greybox.discovery.workflow import _Run
+from greybox.residual.laws.axis import Axis
 
 CERTAIN = Name(
     name="",
@@ -147,3 +148,41 @@ def test_a_name_that_laws_take_over_is_asked_whether_they_want_all_of_it(
     assert against == ([] if moved else [True]), "the others stand where they stood"
     if found:
         assert [n.name for n in found[0] if n.status == "certified"] == ["wind", "lag"]
+
+
+def test_laws_that_win_are_fitted_to_their_end() -> None:
+    """Laws made a gap in the thrust likelier by far, and their fit ended on the way, at more than
+    twice the mass; who foretells, and what is said, is the fit that arrived."""
+    far: Any = SimpleNamespace(
+        log_evidence=900.0, known={("law.c_1", None): 5.0, ("mass", None): 80}
+    )
+    near: Any = SimpleNamespace(
+        log_evidence=903.0, known={("law.c_1", None): 2.0, ("mass", None): 36}
+    )
+    causes = SimpleNamespace(
+        model=None,
+        effects=(),
+        of_laws=lambda *_: [SimpleNamespace(name="law")],
+        with_cause=lambda *_: "with laws",
+        law_file=None,
+    )
+    flights: Any = SimpleNamespace(
+        causes=causes, contest=lambda *_: [far], arrived=lambda f: near if f is far else f
+    )
+    axis = Axis(
+        channel="force.z",
+        unit="N",
+        rms=0.2,
+        gain=1e4,
+        lasts=11.0,
+        needed=True,
+        terms={"up.z": 5.0},
+        codes=("flow.rotation[2, 2]",),
+        shapes=(None,),
+        lawful=True,
+    )
+    at: Any = SimpleNamespace(structure=frozenset(), known={}, log_evidence=100.0)
+    held: list[Any] = []
+    left = _raced(flights, at, (axis,), [axis], 5.0, lambda f: held.append(f) or True)
+    assert left.written is near and held == [near]
+    assert left.laws[0].terms == {"up.z": 2.0}

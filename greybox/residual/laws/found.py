@@ -15,8 +15,9 @@ from typing import TypedDict
 import numpy as np
 
 from greybox.residual.laws.axis import by_text
+from greybox.residual.laws.normal_equations import solve
 from greybox.residual.laws.responses import Library
-from greybox.residual.laws.selection import left_out, needed, price_of, select, solve
+from greybox.residual.laws.selection import left_out, needed, price_of, select
 from greybox.residual.laws.terms import ALONG, Memory, Shaped
 
 TERMS = 6

@@ -33,9 +33,10 @@ from greybox.residual.discrepancy import smoothed_features
 from greybox.residual.features import feature_function
 from greybox.residual.laws.bends import Bends
 from greybox.residual.laws.lagged import remembered_terms
+from greybox.residual.laws.normal_equations import Normal, solve
 from greybox.residual.laws.own_terms import own_terms
 from greybox.residual.laws.terms import Term, terms
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, IntArray
 
 STRETCHES, MOST = 10, 40
 """Parts into which few flights are cut, about, and how many parts there are at most."""
@@ -43,54 +44,8 @@ SAMPLES = 100_000
 """Samples that laws are sought in, the same number from the start of every segment."""
 CHUNK = 256
 """Samples whose responses are kept at once."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Normal:
-    """Normal equations of a least squares problem, one block per stretch of flight: X'X (s, t, t),
-    X'y (s, t), y'y (s,); `flights` (s,) tells which flight a stretch belongs to."""
-
-    xx: FloatArray
-    xy: FloatArray
-    yy: FloatArray
-    flights: tuple[str, ...]
-
-    @staticmethod
-    def of(x: Sequence[FloatArray], y: Sequence[FloatArray], flights: Sequence[str]) -> Normal:
-        """From the rows of every stretch, (n, t) and (n,)."""
-        return Normal(
-            xx=np.array([a.T @ a for a in x]),
-            xy=np.array([a.T @ b for a, b in zip(x, y, strict=True)]),
-            yy=np.array([b @ b for b in y]),
-            flights=tuple(flights),
-        )
-
-    @staticmethod
-    def joined(
-        blocks: Sequence[Normal], flights: Sequence[str], xx: FloatArray | None = None
-    ) -> Normal:
-        """Single blocks one after the other; `xx` where it is known already."""
-        xy, yy = (np.concatenate([getattr(b, n) for b in blocks]) for n in ("xy", "yy"))
-        whole = np.concatenate([b.xx for b in blocks]) if xx is None else xx
-        return Normal(xx=whole, xy=xy, yy=yy, flights=tuple(flights))
-
-    def __add__(self, other: Normal) -> Normal:
-        """The rows of both, block by block."""
-        return replace(self, xx=self.xx + other.xx, xy=self.xy + other.xy, yy=self.yy + other.yy)
-
-    def plus(self, first: int, c: FloatArray) -> Normal:
-        """Of y + X_c c, where X_c are the columns from `first` on."""
-        some = slice(first, first + len(c))
-        added = self.xx[:, :, some] @ c
-        yy = self.yy + (2 * self.xy[:, some] + added[:, some]) @ c
-        return replace(self, xy=self.xy + added, yy=yy)
-
-    def believing(self, column: int, coefficient: float, sigma: float) -> Normal:
-        """With a prior about the coefficient of one column, spread over all blocks."""
-        xx, xy, weight = self.xx.copy(), self.xy.copy(), sigma**-2 / len(self.yy)
-        xx[:, column, column] += weight
-        xy[:, column] += weight * coefficient
-        return replace(self, xx=xx, xy=xy, yy=self.yy + weight * coefficient**2)
+REWEIGHTED = 3
+"""How often channels are weighed anew by what is left of them."""
 
 
 def stretches(n: int, flights: int) -> list[slice]:
@@ -137,16 +92,17 @@ def library(
     columns = _columns(model, z, names, axes, memory=memory)
     places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
     many = sum(len(stretches(len(own), len(segments))) for own in wrench)
+    runs = [plain.run(segment) for _, segment in segments]
+    scales = noise_scales(plain, lin, runs, places[len(columns) :], bends)
     blocks, at = _Blocks(many=many), 0
-    for (flight, segment), own in zip(segments, wrench, strict=True):
+    for (flight, _), run, own in zip(segments, runs, wrench, strict=True):
         pushes = np.column_stack(
             [*(t.values[at : at + len(own)] for _, t in columns), np.ones((len(own), len(axes)))]
         )
         at += len(own)
-        run = plain.run(segment)
         parts = stretches(len(own), len(segments))
         for part, normal in zip(
-            parts, responses(plain, lin, run, pushes, places, parts, bends), strict=True
+            parts, responses(plain, lin, run, pushes, places, parts, bends, scales), strict=True
         ):
             bent = bends.wrenches(run, part, lin, places[len(columns) :])
             x = np.column_stack([pushes[part, : len(columns) + 1], bent.reshape(len(bent), -1)])
@@ -242,39 +198,93 @@ def responses(
     places: Sequence[int],
     parts: Sequence[slice],
     bends: Bends | None = None,
+    scales: FloatArray | float = 1.0,
 ) -> Iterator[Normal]:
     """Normal equations of whitened innovations on whitened responses to `pushes` (n, t), each
     through the noise channel of its place, and to `bends` of the model's numbers: one block per
-    part of the segment, the parts in order and without gaps."""
+    part of the segment, the parts in order and without gaps. The innovations' standard deviations
+    are those that the filter states times `scales` (n_e,)."""
+    spread = np.broadcast_to(scales, run.covariance.shape[1:2])
+    white = np.linalg.inv(np.linalg.cholesky(run.covariance * spread[:, None] * spread))
+    rows = _rows(runner, lin, run, pushes, places, parts, bends)
+    for _, chunks in itertools.groupby(rows, key=lambda chunk: chunk[0]):
+        sums: Normal | None = None
+        for _, pattern, out, target in chunks:
+            x = (white[pattern] @ out).reshape(-1, out.shape[2])
+            y = (white[pattern] @ target[:, :, None]).ravel()
+            more = Normal.of([x], [y], [run.record.flight])
+            sums = more if sums is None else sums + more
+        if sums is not None:
+            yield sums
+
+
+def _rows(
+    runner: Filter,
+    lin: Linearisation,
+    run: Filtered,
+    pushes: FloatArray,
+    places: Sequence[int],
+    parts: Sequence[slice],
+    bends: Bends | None,
+) -> Iterator[tuple[int, IntArray, FloatArray, FloatArray]]:
+    """Chunk by chunk the number of its part, the pattern (k,) of each sample, the responses (k, n_e,
+    t) as in `responses`, and the innovations (k, n_e); zero where there is no reading."""
     record, width = run.record, sum(runner.model.dynamics.window) + 1
     gain, there = run.gains.tables()[0].gain, run.gains.there
-    white = np.linalg.inv(np.linalg.cholesky(run.covariance))
     d = np.zeros((runner.engine.nd, len(places)))
     bent = np.zeros((runner.engine.nd, len(bends) if bends else 0))
-    for part in parts:
+    for number, part in enumerate(parts):
         slopes = np.zeros((part.stop - part.start, there.shape[1], bent.shape[1]))
         if bends:
             slopes, bent = bends.innovations(run, part, bent)
-        sums = Normal.of(
-            [np.zeros((1, len(places) + bent.shape[1]))], [np.zeros(1)], [record.flight]
-        )
         for begin in range(part.start, part.stop, CHUNK):
             rows = range(begin, min(begin + CHUNK, part.stop))
-            out, target = (
-                np.zeros((len(rows), there.shape[1], len(places) + bent.shape[1])),
-                np.zeros((len(rows), there.shape[1])),
-            )
+            pattern = run.gains.pattern[rows.start : rows.stop].astype(np.int64)
+            own = slopes[rows.start - part.start : rows.stop - part.start]
+            out = np.concatenate([np.zeros((len(rows), there.shape[1], len(places))), own], axis=2)
             for j, k in enumerate(rows):
                 a, g, c, through = lin.values(
                     run.states[k], record.inputs[k : k + width].T, run.p, record.dt
                 )
-                i = run.gains.pattern[k]
+                i = pattern[j]
                 e = (c @ d + through[:, places] * pushes[k]) * there[i][:, None]
-                out[j, :, : len(places)] = white[i] @ e
-                out[j, :, len(places) :] = white[i] @ slopes[k - part.start]
-                target[j] = white[i] @ (run.innovations[k] * there[i])
+                out[j, :, : len(places)] = e
                 d = a @ d + g[:, places] * pushes[k] - gain[i] @ e
-            sums = sums + Normal.of(
-                [out.reshape(-1, out.shape[2])], [target.ravel()], [record.flight]
-            )
-        yield sums
+            known = there[pattern]
+            yield number, pattern, out, run.innovations[rows.start : rows.stop] * known
+
+
+def noise_scales(
+    runner: Filter,
+    lin: Linearisation,
+    runs: Sequence[Filtered],
+    places: Sequence[int],
+    bends: Bends,
+) -> FloatArray:
+    """Standard deviation (n_e,) of every channel's innovations in `runs`, in that which the filter
+    states, beside steady pushes through the noise channels `places` and `bends`, which stand beside
+    every law. A fit that has none of these takes a large steady push for noise, in which a law
+    that is small beside it drowns."""
+    t = len(places) + len(bends)
+    many = runs[0].covariance.shape[1]
+    xx, xy = np.zeros((many, t, t)), np.zeros((many, t))
+    yy, stated = np.zeros(many), np.zeros(many)
+    for run in runs:
+        n = len(run.innovations)
+        pushes = np.ones((n, len(places)))
+        for _, pattern, out, target in _rows(
+            runner, lin, run, pushes, places, [slice(0, n)], bends
+        ):
+            xx += np.einsum("kit,kiu->itu", out, out)
+            xy += np.einsum("kit,ki->it", out, target)
+            yy += (target**2).sum(axis=0)
+            variance = np.diagonal(run.covariance, axis1=1, axis2=2)[pattern]
+            stated += (variance * run.gains.there[pattern]).sum(axis=0)
+    seen = (yy > 0) & (stated > 0)
+    scales = np.ones(many)
+    for _ in range(REWEIGHTED):
+        weight = np.where(seen, 1.0 / np.where(seen, scales**2 * stated, 1.0), 0.0)
+        c = solve(np.tensordot(weight, xx, 1), weight @ xy, range(t))
+        left = yy - 2 * xy @ c + np.einsum("t,itu,u->i", c, xx, c)
+        scales = np.where(seen, np.sqrt(np.maximum(left, 1e-12 * yy) / stated), 1.0)
+    return scales

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.residual.laws.responses import Normal
+from greybox.residual.laws.normal_equations import RIDGE, Normal, solve
 from greybox.symbolic import FloatArray
 
 HALVES = 30
@@ -22,17 +22,6 @@ STABLE = 0.7
 """Share of the halves in which a column must be chosen."""
 ALIKE = 0.9
 """Correlation above which two columns share their votes."""
-RIDGE = 1e-9
-
-
-def solve(xx: FloatArray, xy: FloatArray, columns: Sequence[int]) -> FloatArray:
-    """Coefficients of some columns."""
-    c = list(columns)
-    scale = 1 / np.sqrt(np.maximum(np.diag(xx)[c], 1e-300))
-    m = xx[np.ix_(c, c)] * scale[:, None] * scale
-    return np.asarray(
-        scale * np.linalg.lstsq(m + RIDGE * np.eye(len(c)), scale * xy[c], rcond=None)[0]
-    )
 
 
 def forward(
