@@ -217,7 +217,7 @@ def against(
     steps = sorted({*after.horizons, round(ahead / after.sample_time)})
     return Against(
         changes=_changes(old, new, steps, ahead, readings or {}),
-        ahead=ahead,
+        ahead=_shown(ahead),
         judged_on=after.verdict.judged_on,
         flights=after.verdict.flights,
     )
@@ -252,7 +252,7 @@ def _changes(
                 Change(
                     group=g,
                     unit=new.kinds[g].unit,
-                    seconds=float(f"{seconds:.9g}"),
+                    seconds=_shown(seconds),
                     before=before,
                     after=after,
                     clear=not level and _beyond(before, after, chance),
@@ -260,6 +260,11 @@ def _changes(
                 )
             )
     return tuple(out)
+
+
+def _shown(seconds: float) -> float:
+    """Without the last digits, which steps of a time stamp that was rounded differ by."""
+    return float(f"{seconds:.9g}")
 
 
 def _beyond(before: float, after: float, chance: float) -> bool:

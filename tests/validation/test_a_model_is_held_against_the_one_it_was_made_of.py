@@ -19,7 +19,9 @@ STEPS, COUNT = 100, 200
 GROUPS = ("position", "rotation")
 
 
-def table(blocks: dict[str, list[float]], label: str = "model") -> HorizonTable:
+def table(
+    blocks: dict[str, list[float]], label: str = "model", sample_time: float = 0.01
+) -> HorizonTable:
     """Mean errors of each block of a group at one step ahead, growing with the horizon."""
     growth = np.arange(1, STEPS + 1) / STEPS
     groups = {}
@@ -37,18 +39,18 @@ def table(blocks: dict[str, list[float]], label: str = "model") -> HorizonTable:
             block_counts=np.full(sums.shape, float(COUNT)),
         )
     return HorizonTable(
-        label=label, sample_time=0.01, required=50, groups=groups, flights={"c": groups}
+        label=label, sample_time=sample_time, required=50, groups=groups, flights={"c": groups}
     )
 
 
-def seen(position: list[float], rotation: list[float]) -> Validation:
-    own = table({"position": position, "rotation": rotation})
-    held = table({"position": [10.0] * 6, "rotation": [10.0] * 6})
+def seen(position: list[float], rotation: list[float], sample_time: float = 0.01) -> Validation:
+    own = table({"position": position, "rotation": rotation}, sample_time=sample_time)
+    held = table({"position": [10.0] * 6, "rotation": [10.0] * 6}, sample_time=sample_time)
     return Validation(
         model="m",
         file=None,
         flights=[{"name": "c", "samples": 1000, "seconds": 10.0, "notes": []}],
-        sample_time=0.01,
+        sample_time=sample_time,
         horizons=(1, 10, 50, 100),
         table=own,
         persistence=held,
@@ -80,6 +82,13 @@ def test_what_falls_in_every_block_is_better_and_changes_no_verdict() -> None:
     after = seen([0.8 * e + 0.01 * k for k, e in enumerate(LEVEL)], LEVEL)
     assert against(BEFORE, after).says == "better"
     assert verdict_of(after) == after.verdict
+
+
+def test_the_line_names_every_group_at_a_sample_time_that_no_decimal_ends() -> None:
+    """A log at 120 Hz whose stamps have nine digits: 60 of its steps are 0.4999999998 s."""
+    both = seen(LEVEL, LEVEL, sample_time=0.00833333333)
+    line = against(both, both).line("physics.json")
+    assert "0.5 s ahead position 0.6 -> 0.6 m, rotation" in line
 
 
 def test_what_grows_in_one_block_only_is_chance() -> None:
