@@ -320,8 +320,7 @@ class _Run:
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
         """Save what is known where the search stands; `names` are what was said of causes there."""
         found = self._so_far(self.settled(at).judged(STOPPED))
-        told = so_far(search.added(at), names)
-        self.save(replace(found, so_far=told, steps=tuple(search.steps)))
+        self.save(replace(found, so_far=so_far(search.added(at), names), steps=tuple(search.steps)))
 
     def _so_far(self, found: Fit) -> Discovery:
         return Discovery(
@@ -349,8 +348,7 @@ class _Run:
         return None
 
     def _hopeless(self, at: Fitted, asked: int) -> bool:
-        """Whether a structure needs no further swap: the model of then foretells better, or the
-        likelihood is no judge of names, and its likeliest swap was asked."""
+        """Whether no further swap is asked: then foretells better, or no likelihood judges names."""
         then = self.then
         return then.beats(self.held_out(at), RULES.span) if then else asked > 0 and self.bent(at)
 
@@ -360,20 +358,19 @@ class _Run:
         if (at, lawful) not in self._bent and physics_of(self.settled(at).model.dynamics):
             found, laws = self.settled(at), self.settled(lawful).model if lawful else None
             given = self.flights.data, self.judges, RULES.span, RULES.law, laws, self.options.known
-            opposed = any(r.doubtful for r in self.judges.rows(self.before, laws or found.model))
-            self._bent[at, lawful] = opposed or is_bent(found, *given, self.unfitted.append)
+            bent = self._opposed(lawful or at) or is_bent(found, *given, self.unfitted.append)
+            self._bent[at, lawful] = bent
         return self._bent.get((at, lawful), False)
 
+    def _opposed(self, at: Fitted) -> bool:
+        return any(r.doubtful for r in self.judges.rows(self.before, self.settled(at).model))
+
     def _by_errors_ahead(
-        self,
-        search: Search,
-        at: Fitted,
-        names: Sequence[Name] = (),
-        left: Left | None = None,
+        self, search: Search, at: Fitted, names: Sequence[Name] = (), left: Left | None = None
     ) -> Answer | None:
         """Where a structure is bent, and laws that are `left` do not mend that, what is said of all
-        that was in one on the way to it, as the likelihood does not judge what it dropped, either:
-        by what it is worth to a model that is fitted by errors ahead, which takes its place. Other
+        that was in one on the way to it: by its worth to a model that is fitted by errors ahead,
+        which takes its place, or the base where none has a name and that foretells better. Other
         `names` stay as they are. None where it is not bent, or nothing can be fitted."""
         asked, done = search.named(search.taken), itertools.count()
         if not search.added(at) or not self.bent(at):
@@ -392,13 +389,14 @@ class _Run:
         terms = Terms(fixed=o.fixed, per_flight=o.per_flight, known=o.known)
         given, unable = (self.flights.data, self.judges, RULES.span, o.max_effects), self.unfitted
         fits = functools.partial(held_ahead, terms=terms, say=say, unable=unable.append)
-        race = fits(physics, asked, *given) if physics else None
-        if race is None:
+        if not physics or (race := fits(physics, asked, *given)) is None:
             return None
         self._settled[at], self.ahead, self.needed = race.fit, True, self.bar
         odd = {n: impossible(race.fit, n) for n in asked}
         said = [by_errors_ahead(n, race, odd[n], self.bar) for n in asked]
         others = [n for n in names if n.name not in asked]
+        if not any(n.status in NAMED for n in said) and self._opposed(at):
+            return [replace(n, kept=False) for n in said] + others, self.null, self._rest(self.null)
         return [*said, *others], at, replace(left, written=None)
 
     @functools.cached_property
