@@ -94,9 +94,13 @@ def test_the_pull_of_a_wall_is_found_where_it_is(monkeypatch: pytest.MonkeyPatch
     found = discover(vehicle(), train, test)
     assert not [n.name for n in found.names if n.status in ("certified", "supported")]
     assert found.left is not None
-    walls = [s[0] for a in found.left.laws for s in a.shapes if s and isinstance(s[0], Bump)]
-    assert walls
-    assert all(abs(b.place - 0.6) < 0.1 for b in walls if b.signal == "position.x")
+    assert {a.channel for a in found.left.laws} == {"force.x", "force.y", "force.z"}
+    for law in found.left.laws:  # its flank, which is no bell, may have a smaller bump of its own
+        rows = zip(law.terms.values(), law.shapes, strict=True)
+        bumps = [(abs(c), s[0]) for c, s in rows if s and isinstance(s[0], Bump)]
+        strongest = max(bumps, key=lambda row: row[0])[1]
+        assert strongest.signal == "position.x"
+        assert strongest.place == pytest.approx(0.6, abs=0.05)
     row = next(r for r in found.gap if r.group == "velocity" and r.horizon_s == 0.5)
     assert row.with_proposals is not None
-    assert row.with_proposals > 0.6
+    assert row.with_proposals > 0.9
