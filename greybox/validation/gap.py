@@ -192,17 +192,21 @@ def outgrown(
         and r.closed is not None
         and r.with_proposals is not None
         and r.with_proposals < min(r.closed, 1.0) - TENTH  # below the floor all is closed
-        and _felt(named, lawful, (r.group, r.horizon_s))
+        and _felt(named, lawful, (r.group, r.horizon_s), lost=r.with_proposals < 0)
     ]
 
 
-def _felt(named: HeldOutErrors, lawful: HeldOutErrors, key: tuple[str, float]) -> bool:
+def _felt(
+    named: HeldOutErrors, lawful: HeldOutErrors, key: tuple[str, float], *, lost: bool
+) -> bool:
     """Whether errors grow by more than the squared error of one reading, as a name has to remove,
-    and by more than chance: a tenth of a gap that is next to nothing is nothing."""
+    and by more than chance: a tenth of a gap that is next to nothing is nothing. What is `lost`,
+    worse than without any name, no chance excuses: a second that diverges hides in its own
+    spread."""
     old, new = ([b.sum() for b in side.own[key]] for side in (named, lawful))
     grown = np.array(new) - np.array(old)
     size = sum(b.size for b in named.own[key])
-    return clearly(grown) and float(grown.sum()) > size * named.reading.get(key[0], 0.0)
+    return (lost or clearly(grown)) and float(grown.sum()) > size * named.reading.get(key[0], 0.0)
 
 
 def doubt(rows: Iterable[GapRow]) -> str:

@@ -131,6 +131,18 @@ def test_laws_are_not_held_against_what_is_less_than_a_reading_or_chance(
     assert bool(found) == grown
 
 
+@pytest.mark.parametrize(("count", "times"), [(20, 1e2), (20, 1e8), (20, np.inf), (1, 1e2)])
+def test_laws_that_diverge_in_one_second_are_not_excused_by_chance(count: int, times: float):
+    """One of twenty seconds is never beyond two standard errors: its spread grows with it."""
+
+    def errors(level: float, worst: float = 1.0) -> HeldOutErrors:
+        own = [level * np.full(20, 1.0 + 0.01 * i) for i in range(count)]
+        own[0] = worst * own[0]
+        return HeldOutErrors(own={KEY: own}, floor={KEY: [np.full(20, 0.1)] * count})
+
+    assert outgrown(errors(4.0), errors(1.0), errors(1.0, times)) == ["rate 0.5 s ahead"]
+
+
 @pytest.mark.parametrize(("seen", "why"), [(0.5, "stands against"), (3.0, "of a feedback")])
 def test_what_got_worse_has_a_reason(seen: float, why: str):
     """Errors that fall with what the filter sees stand against it; others are a feedback's."""
