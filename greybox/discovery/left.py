@@ -137,9 +137,9 @@ def _raced(
         for cause, law in zip(causes, lawful, strict=True):
             start |= {(f"{cause.name}.c_{i}", None): c for i, c in enumerate(law.terms.values(), 1)}
         (written,) = flights.contest([(at.structure | {c.name for c in causes}, [start])], at)
-        likelier = written.log_evidence >= at.log_evidence + bar
-        written = flights.arrived(written) if likelier else written
-        won = likelier and holds(written)
+        least = at.log_evidence + bar
+        written = flights.arrived(written) if written.log_evidence >= least else written
+        won = written.log_evidence >= least and holds(written)
     except GreyboxError:
         won = False
     if not won:

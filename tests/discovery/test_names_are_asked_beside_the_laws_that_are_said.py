@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from greybox.discovery.certificate import Certificate
@@ -150,14 +151,15 @@ def test_a_name_that_laws_take_over_is_asked_whether_they_want_all_of_it(
         assert [n.name for n in found[0] if n.status == "certified"] == ["wind", "lag"]
 
 
-def test_laws_that_win_are_fitted_to_their_end() -> None:
+@pytest.mark.parametrize(("arrives", "won"), [(903.0, True), (101.0, False), (-np.inf, False)])
+def test_laws_that_win_are_fitted_to_their_end(arrives: float, won: bool) -> None:
     """Laws made a gap in the thrust likelier by far, and their fit ended on the way, at more than
     twice the mass; who foretells, and what is said, is the fit that arrived."""
     far: Any = SimpleNamespace(
         log_evidence=900.0, known={("law.c_1", None): 5.0, ("mass", None): 80}
     )
     near: Any = SimpleNamespace(
-        log_evidence=903.0, known={("law.c_1", None): 2.0, ("mass", None): 36}
+        log_evidence=arrives, known={("law.c_1", None): 2.0, ("mass", None): 36}
     )
     causes = SimpleNamespace(
         model=None,
@@ -184,5 +186,8 @@ def test_laws_that_win_are_fitted_to_their_end() -> None:
     at: Any = SimpleNamespace(structure=frozenset(), known={}, log_evidence=100.0)
     held: list[Any] = []
     left = _raced(flights, at, (axis,), [axis], 5.0, lambda f: held.append(f) or True)
+    if not won:
+        assert left.written is None and flights.causes is causes
+        return
     assert left.written is near and held == [near]
     assert left.laws[0].terms == {"up.z": 2.0}
