@@ -4,10 +4,13 @@ out."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import greybox.residual.laws.responses
 from greybox.discovery.rules import RULES
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit
@@ -278,3 +281,52 @@ def test_channels_are_weighed_by_what_a_steady_push_leaves_of_them():
     assert with_push[there] == pytest.approx(0.1, rel=0.3)
     without = noise_scales(runner, lin, [moved], [], bends)
     assert without.max() == pytest.approx(30.0, rel=0.01)
+
+
+class _Readings:
+    """A filter's run with white innovations of two channels, of which the last has `few`."""
+
+    def __init__(self, few: int, n: int = 400) -> None:
+        rng, self.out = np.random.default_rng(1), np.zeros((n, 2, 3))
+        self.out[:] = rng.standard_normal((n, 2, 3))
+        self.there = np.ones((n, 2))
+        self.there[: n - few, 1] = 0
+        self.target = rng.standard_normal((n, 2)) * [0.5, 1.0] * self.there
+        self.out *= self.there[:, :, None]
+
+    def scales(self, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+        rows = [(0, np.arange(len(self.there)), self.out, self.target)]
+        monkeypatch.setattr(greybox.residual.laws.responses, "_rows", lambda *_: iter(rows))
+        gains = SimpleNamespace(there=self.there)
+        run: Any = SimpleNamespace(
+            innovations=self.target, covariance=np.tile(np.eye(2), (400, 1, 1)), gains=gains
+        )
+        nothing: Any = None
+        return noise_scales(nothing, nothing, [run], [0, 1, 2], ())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("few", [1, 2])
+def test_a_channel_of_few_readings_is_no_channel_without_noise(few: int, monkeypatch):
+    """Three columns meet two readings: at a scale of a millionth these would rule every law."""
+    well, poor = _Readings(few).scales(monkeypatch)
+    assert well == pytest.approx(0.5, rel=0.1)
+    assert poor > 0.2
+
+
+def test_channels_are_weighed_by_readings_not_by_how_many_there_are(monkeypatch):
+    """What a few hundred readings say of a push is not bent by six of another channel."""
+    seen = _Readings(6)
+    seen.target[-6:, 1] *= 4.0
+    c, *_ = np.linalg.lstsq(seen.out[:, 0], seen.target[:, 0])
+    alone = np.sqrt(((seen.target[:, 0] - seen.out[:, 0] @ c) ** 2).mean())
+    assert seen.scales(monkeypatch)[0] == pytest.approx(alone, rel=0.01)
+
+
+def test_a_number_that_moves_no_reading_leaves_the_weights_as_they_are(monkeypatch):
+    seen = _Readings(400)
+    seen.out[:, :, 2] = 0.0
+    assert seen.scales(monkeypatch) == pytest.approx([0.5, 1.0], rel=0.1)
+
+
+def test_no_stretch_is_empty():
+    assert [s.stop - s.start for s in stretches(3, 2)] == [1, 1, 1]

@@ -33,7 +33,7 @@ from greybox.residual.discrepancy import smoothed_features
 from greybox.residual.features import feature_function
 from greybox.residual.laws.bends import Bends
 from greybox.residual.laws.lagged import remembered_terms
-from greybox.residual.laws.normal_equations import Normal, solve
+from greybox.residual.laws.normal_equations import RIDGE, Normal, solve
 from greybox.residual.laws.own_terms import own_terms
 from greybox.residual.laws.terms import Term, terms
 from greybox.symbolic import FloatArray, IntArray
@@ -51,7 +51,7 @@ REWEIGHTED = 3
 def stretches(n: int, flights: int) -> list[slice]:
     """One flight of n rows in equal parts, about `STRETCHES` in all `flights`."""
     edges = np.linspace(0, n, max(2, -(-STRETCHES // max(flights, 1))) + 1).round().astype(int)
-    return [slice(a, b) for a, b in itertools.pairwise(edges)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges) if b > a]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -264,27 +264,34 @@ def noise_scales(
     """Standard deviation (n_e,) of every channel's innovations in `runs`, in that which the filter
     states, beside steady pushes through the noise channels `places` and `bends`, which stand beside
     every law. A fit that has none of these takes a large steady push for noise, in which a law
-    that is small beside it drowns."""
+    that is small beside it drowns.
+
+    By expectation and maximisation (Dempster, Laird and Rubin 1977, JRSS B 39(1)): what is not
+    known of the coefficients counts as noise, or a channel of few readings, which they meet, would
+    have none."""
     t = len(places) + len(bends)
     many = runs[0].covariance.shape[1]
     xx, xy = np.zeros((many, t, t)), np.zeros((many, t))
-    yy, stated = np.zeros(many), np.zeros(many)
+    yy, stated, readings = np.zeros((3, many))
     for run in runs:
         n = len(run.innovations)
-        pushes = np.ones((n, len(places)))
-        for _, pattern, out, target in _rows(
-            runner, lin, run, pushes, places, [slice(0, n)], bends
-        ):
+        parts, pushes = stretches(n, len(runs)), np.ones((n, len(places)))
+        for _, pattern, out, target in _rows(runner, lin, run, pushes, places, parts, bends):
             xx += np.einsum("kit,kiu->itu", out, out)
             xy += np.einsum("kit,ki->it", out, target)
             yy += (target**2).sum(axis=0)
             variance = np.diagonal(run.covariance, axis1=1, axis2=2)[pattern]
             stated += (variance * run.gains.there[pattern]).sum(axis=0)
+            readings += run.gains.there[pattern].sum(axis=0)
     seen = (yy > 0) & (stated > 0)
     scales = np.ones(many)
     for _ in range(REWEIGHTED):
-        weight = np.where(seen, 1.0 / np.where(seen, scales**2 * stated, 1.0), 0.0)
-        c = solve(np.tensordot(weight, xx, 1), weight @ xy, range(t))
+        weight = np.where(seen, readings / np.where(seen, scales**2 * stated, 1.0), 0.0)
+        whole = np.tensordot(weight, xx, 1)
+        c = solve(whole, weight @ xy, range(t))
         left = yy - 2 * xy @ c + np.einsum("t,itu,u->i", c, xx, c)
-        scales = np.where(seen, np.sqrt(np.maximum(left, 1e-12 * yy) / stated), 1.0)
+        size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        errors = np.linalg.inv(whole / size[:, None] / size + RIDGE * np.eye(t))
+        unknown = np.einsum("itu,tu->i", xx / size[:, None] / size, errors)
+        scales = np.where(seen, np.sqrt(np.maximum(left + unknown, 1e-12 * yy) / stated), 1.0)
     return scales
