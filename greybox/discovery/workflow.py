@@ -363,7 +363,8 @@ class _Run:
         return self._bent.get((at, lawful), False)
 
     def _opposed(self, at: Fitted) -> bool:
-        return any(r.doubtful for r in self.judges.rows(self.before, self.settled(at).model))
+        base, model = self.held_out(self.null), self.settled(at).model  # --from has a base, too
+        return any(r.doubtful for r in self.judges.rows(base, model))
 
     def _by_errors_ahead(
         self, search: Search, at: Fitted, names: Sequence[Name] = (), left: Left | None = None
@@ -402,10 +403,6 @@ class _Run:
     @functools.cached_property
     def null(self) -> Fitted:
         return self.flights.fit(self.flights.causes.base)
-
-    @property
-    def before(self) -> HeldOutErrors | None:
-        return self.then.errors if self.then else self.held_out(self.null)
 
     @functools.cached_property
     def then(self) -> Then | None:
@@ -527,7 +524,8 @@ class _Run:
                 learned = attainable(bare, self.flights.data, self.judges, self.options.seed)
             except GreyboxError as error:
                 self.warnings.append(f"no attainable line: {error}")
-        rows = self.judges.rows(self.before, self.settled(at).model, lawful, learned)
+        before = self.then.errors if self.then else self.held_out(self.null)
+        rows = self.judges.rows(before, self.settled(at).model, lawful, learned)
         if not rows:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
         self.warnings += [] if self.last else worsened(rows)

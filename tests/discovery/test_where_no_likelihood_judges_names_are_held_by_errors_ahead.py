@@ -233,11 +233,13 @@ def on_flights(*rows: GapRow, known: Known = NOTHING) -> Any:
     """A search of which a structure leaves these errors on the flights that judge."""
     run: Any = SimpleNamespace(
         _bent={},
-        before=None,
+        null=NULL,
+        then=SimpleNamespace(errors="of then"),
+        held_out=lambda at: "of the base" if at is NULL else None,
         settled=lambda _: SimpleNamespace(model=SimpleNamespace(dynamics=None)),
         options=SimpleNamespace(known=known),
         flights=SimpleNamespace(data=None),
-        judges=SimpleNamespace(rows=lambda *_: rows),
+        judges=SimpleNamespace(rows=lambda before, _: rows if before == "of the base" else ()),
         unfitted=[],
     )
     run._opposed = functools.partial(_Run._opposed, run)
@@ -253,7 +255,8 @@ def test_what_was_known_before_is_handed_to_whoever_asks_errors_ahead(asked):
 
 def test_names_that_what_has_no_name_stands_against_are_not_for_the_likelihood_to_judge(asked):
     """Beside a wall a wind, a force and a flapping were certified, with which positions erred by a
-    third more; the force without a name that the filter sees took that back."""
+    third more; the force without a name that the filter sees took that back. More than the base,
+    which takes their place: not than the model of then, than which both may be worse."""
     row = GapRow(
         group="velocity",
         unit="m/s",
