@@ -8,7 +8,7 @@ from __future__ import annotations
 import concurrent.futures
 import functools
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -197,14 +197,10 @@ class Flights:
         """Tasks, and once more, from the likeliest fit of a part of their structure, those that
         ended less likely than that, as no optimum is: they had started where noise has vanished."""
         self._solved(tasks)
-
-        def worse(structure: Structure) -> float:
-            return self._known[structure].value.likelihood
-
-        again = []
+        cost, again = {s: f.value.likelihood for s, f in self._known.items()}, []
         for t in tasks:
-            part = min((s for s in self._known if s < t.structure), key=worse, default=t.structure)
-            if worse(t.structure) > worse(part) + self.effort.rough:
+            part = min((s for s in cost if s <= t.structure), key=cost.__getitem__)
+            if cost[t.structure] > cost[part] + self.effort.rough:
                 again.append(replace(t, starts=(self._known[part].known,)))
         self._solved(again)
         return [self._known[t.structure] for t in tasks]
@@ -250,6 +246,10 @@ class Flights:
     def known(self, structure: Iterable[str]) -> Fitted | None:
         """The fit of a structure that was done already."""
         return self._known.get(frozenset(structure))
+
+    def forget(self, names: Collection[str]) -> None:
+        """No fit with causes of these names: others bear them now."""
+        self._known = {s: f for s, f in self._known.items() if s.isdisjoint(names)}
 
     def settled(self, found: Fitted) -> Fit:
         """The whole result of a fit, with errors, as `greybox.estimation.fit` gives it."""

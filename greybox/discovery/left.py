@@ -127,12 +127,12 @@ def _raced(
     holds: Callable[[Fitted], bool],
 ) -> Left:
     """The laws against the structure without them: they stay where evidence says so, and hold."""
-    offered = flights.causes
-    physics = physics_of(offered.model)
+    offered, physics = flights.causes, physics_of(flights.causes.model)
     taken = offered.effects if physics is None else tuple(e.name for e in physics.effects)
     try:
         causes = offered.of_laws(lawful, taken)
         flights.causes = offered.with_cause(*causes)
+        flights.forget({c.name for c in causes})
         start = dict(at.known)
         for cause, law in zip(causes, lawful, strict=True):
             start |= {(f"{cause.name}.c_{i}", None): c for i, c in enumerate(law.terms.values(), 1)}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import greybox.residual.laws.responses
+from greybox.discovery.left import _raced
 from greybox.discovery.rules import RULES
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit
@@ -24,7 +25,7 @@ from greybox.residual.laws.normal_equations import Normal, solve
 from greybox.residual.laws.responses import Library, _rows, noise_scales, responses, stretches
 from greybox.residual.laws.selection import forward, left_out, select
 from greybox.residual.laws.terms import terms
-from tests.discovery.small_world import flown, vehicle
+from tests.discovery.small_world import damped, flown, law_of, vehicle
 
 NAMES = (
     "body_velocity.x",
@@ -281,6 +282,16 @@ def test_channels_are_weighed_by_what_a_steady_push_leaves_of_them():
     assert with_push[there] == pytest.approx(0.1, rel=0.3)
     without = noise_scales(runner, lin, [moved], [], bends)
     assert without.max() == pytest.approx(30.0, rel=0.01)
+
+
+def test_a_law_gets_its_own_fit_where_one_of_its_name_lost_before():
+    flights, seen = damped(), []
+    at, (z, _) = flights.fit(flights.causes.base), signals()
+    for term in terms("torque.x", NAMES, z, vehicle())[:4:3]:
+        law = law_of("torque.x", term)
+        _raced(flights, at, (law,), [law], -np.inf, lambda laws: seen.append(laws) or False)
+    assert seen[0].structure == seen[1].structure
+    assert seen[0].value.likelihood != seen[1].value.likelihood
 
 
 class _Readings:

@@ -169,7 +169,10 @@ def test_laws_that_win_are_fitted_to_their_end(arrives: float, won: bool) -> Non
         law_file=None,
     )
     flights: Any = SimpleNamespace(
-        causes=causes, contest=lambda *_: [far], arrived=lambda f: near if f is far else f
+        causes=causes,
+        forget=lambda _names: None,
+        contest=lambda *_: [far],
+        arrived=lambda f: near if f is far else f,
     )
     axis = Axis(
         channel="force.z",
