@@ -76,7 +76,7 @@ class Discovery(Shown):
     def model(self) -> IdentifiedModel:
         """The improved model. Raises `GreyboxError` where bad data stopped the search."""
         if self.fit is None:
-            raise GreyboxError("no model: the data have faults", fix="mend the log, then run again")
+            raise GreyboxError("no model: blocking faults", fix="mend the log, then run again")
         return self.fit.model
 
     @property
