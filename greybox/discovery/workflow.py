@@ -241,7 +241,7 @@ class _Run:
         found = self.judges.judged(found)
         written = left.written and self.judges.judged(self.settled(left.written))
         ends = [f for f in (found, written) if f and not f.converged]
-        self.warnings += [f"the last fit: {f.status.advice}" for f in ends]
+        self.warnings += dict.fromkeys(f"the last fit: {f.status.advice}" for f in ends)
         rows = self._gap(self.last or at, left.written)
         scores = None if self.ahead else search.scores
         taught = sum(f.n for f in self.flights.data)
@@ -396,7 +396,10 @@ class _Run:
         odd = {n: impossible(race.fit, n) for n in asked}
         said = [by_errors_ahead(n, race, odd[n], self.bar) for n in asked]
         others = [n for n in names if n.name not in asked]
-        if not any(n.status in NAMED for n in said) and self._opposed(at):
+        old, new = self.held_out(self.null), self.held_out(at)
+        harms = old is not None and new is not None and worth(old, new, RULES.span).harms
+        if harms and not any(n.status in NAMED for n in said):
+            self.warnings.append(f"errors ahead grow with {', '.join(asked)}: not in the model")
             return [replace(n, kept=False) for n in said] + others, self.null, self._rest(self.null)
         return [*said, *others], at, replace(left, written=None)
 
