@@ -371,7 +371,7 @@ class _Run:
     ) -> Answer | None:
         """Where a structure is bent, and laws that are `left` do not mend that, what is said of all
         that was in one on the way to it: by its worth to a model that is fitted by errors ahead,
-        which takes its place, or the base where none has a name and it is opposed, too. Other
+        which takes its place, or the base where none has a name and errors grow with all. Other
         `names` stay as they are. None where it is not bent, or nothing can be fitted."""
         asked, done = search.named(search.taken), itertools.count()
         if not search.added(at) or not self.bent(at):

@@ -17,7 +17,9 @@ standard error, to say what is a law.
 
 from __future__ import annotations
 
+import functools
 import itertools
+import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -207,15 +209,14 @@ def responses(
     spread = np.broadcast_to(scales, run.covariance.shape[1:2])
     white = np.linalg.inv(np.linalg.cholesky(run.covariance * spread[:, None] * spread))
     rows = _rows(runner, lin, run, pushes, places, parts, bends)
+
+    def whitened(pattern: IntArray, out: FloatArray, target: FloatArray) -> Normal:
+        x = (white[pattern] @ out).reshape(-1, out.shape[2])
+        y = (white[pattern] @ target[:, :, None]).ravel()
+        return Normal.of([x], [y], [run.record.flight])
+
     for _, chunks in itertools.groupby(rows, key=lambda chunk: chunk[0]):
-        sums: Normal | None = None
-        for _, pattern, out, target in chunks:
-            x = (white[pattern] @ out).reshape(-1, out.shape[2])
-            y = (white[pattern] @ target[:, :, None]).ravel()
-            more = Normal.of([x], [y], [run.record.flight])
-            sums = more if sums is None else sums + more
-        if sums is not None:
-            yield sums
+        yield functools.reduce(operator.add, (whitened(*chunk[1:]) for chunk in chunks))
 
 
 def _rows(
@@ -228,7 +229,8 @@ def _rows(
     bends: Bends | None,
 ) -> Iterator[tuple[int, IntArray, FloatArray, FloatArray]]:
     """Chunk by chunk the number of its part, the pattern (k,) of each sample, the responses (k, n_e,
-    t) as in `responses`, and the innovations (k, n_e); zero where there is no reading."""
+    t), first to the pushes and then to the bends, and the innovations (k, n_e); zero where there is
+    no reading."""
     record, width = run.record, sum(runner.model.dynamics.window) + 1
     gain, there = run.gains.tables()[0].gain, run.gains.there
     d = np.zeros((runner.engine.nd, len(places)))
