@@ -67,7 +67,7 @@ from greybox.validation.gap import GapRow, HeldOutErrors, outgrown, worsened
 from greybox.validation.judges import Judges
 from greybox.validation.sanity import denied, impossible
 from greybox.validation.then import Then
-from greybox.validation.worth import worth
+from greybox.validation.worth import Worth, worth
 
 Progress = Callable[[str, float], None]
 Judged = tuple[list[Name], Fitted]
@@ -315,7 +315,7 @@ class _Run:
             names = [replace(n, kept=n.kept and n.name not in worse) for n in names]
             named = self.flights.arrived(self.flights.fit(named.structure - worse, [named.known]))
             left = replace(self._rest(named), doubts=left.doubts)
-        return self._by_errors_ahead(search, named, names, left) or (names, named, left)
+        return self._by_errors_ahead(search, named, left) or (names, named, left)
 
     def _keep(self, search: Search, at: Fitted, names: Sequence[Name] | None) -> None:
         """Save what is known where the search stands; `names` are what was said of causes there."""
@@ -367,12 +367,12 @@ class _Run:
         return any(r.doubtful for r in self.judges.rows(base, model))
 
     def _by_errors_ahead(
-        self, search: Search, at: Fitted, names: Sequence[Name] = (), left: Left | None = None
+        self, search: Search, at: Fitted, left: Left | None = None
     ) -> Answer | None:
         """Where a structure is bent, and laws that are `left` do not mend that, what is said of all
         that was in one on the way to it: by its worth to a model that is fitted by errors ahead,
-        which takes its place, or the base where none has a name and errors grow with all. Other
-        `names` stay as they are. None where it is not bent, or nothing can be fitted."""
+        which takes its place, or the base where none has a name and errors grow with all. None
+        where it is not bent, or nothing can be fitted."""
         asked, done = search.named(search.taken), itertools.count()
         if not search.added(at) or not self.bent(at):
             return None
@@ -395,13 +395,11 @@ class _Run:
         self._settled[at], self.ahead, self.needed = race.fit, True, self.bar
         odd = {n: impossible(race.fit, n) for n in asked}
         said = [by_errors_ahead(n, race, odd[n], self.bar) for n in asked]
-        others = [n for n in names if n.name not in asked]
-        old, new = self.held_out(self.null), self.held_out(at)
-        harms = old is not None and new is not None and worth(old, new, RULES.span).harms
-        if harms and not any(n.status in NAMED for n in said):
+        good = self._worth(self.null, at)
+        if good and good.harms and not any(n.status in NAMED for n in said):
             self.warnings.append(f"errors ahead grow with {', '.join(asked)}: not in the model")
-            return [replace(n, kept=False) for n in said] + others, self.null, self._rest(self.null)
-        return [*said, *others], at, replace(left, written=None)
+            return [replace(n, kept=False) for n in said], self.null, self._rest(self.null)
+        return said, at, replace(left, written=None)
 
     @functools.cached_property
     def null(self) -> Fitted:
@@ -424,12 +422,16 @@ class _Run:
             self.needed = min(bar_of_several(possible, self.bar), before)
         for name, certificate in found.items():
             without = next(r.fitted for r in rivals[name] if not r.instead)
-            old, new = self.held_out(without), self.held_out(at)
-            good = None if old is None or new is None else worth(old, new, RULES.span)
+            good = self._worth(without, at)
             said = judged(certificate, good, odd[name], self.needed, alpha, self.bar)
             said = with_size(untold(said, whole) if len(rivals) > 1 else said, whole)
             names.append(with_values_elsewhere(said, whole, rivals[name]))
         return self._without_traces(names, at)
+
+    def _worth(self, without: Fitted, at: Fitted) -> Worth | None:
+        """What is more in a structure is worth to it; None where flights that judge cannot tell."""
+        old, new = self.held_out(without), self.held_out(at)
+        return None if old is None or new is None else worth(old, new, RULES.span)
 
     def _without_traces(self, names: list[Name], at: Fitted) -> Judged:
         """Names, and the structure without what has none but traces that numbers rest on."""
@@ -445,9 +447,8 @@ class _Run:
         if not traces & gone:
             return names, bare
         whole = self.flights.fit(at.structure - (gone - traces), [at.known])
-        old, new = self.held_out(bare), self.held_out(whole)
-        ways = ((old, new), (new, old)) if old and new else ()
-        gain, harm = [worth(a, b, RULES.span).matters for a, b in ways] or (False, False)
+        ways = self._worth(bare, whole), self._worth(whole, bare)
+        gain, harm = (way is not None and way.matters for way in ways)
         moved = moved_names(names, self.settled(whole), bare)
         if not gain and (harm or not moved):
             less = f"without {', '.join(sorted(traces))} (traces with which errors ahead grow)"

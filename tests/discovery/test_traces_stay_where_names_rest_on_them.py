@@ -103,6 +103,7 @@ def test_a_trace_leaves_only_where_nothing_that_is_said_rests_on_it_or_errors_sh
         settled=lambda _at: fit,
         warnings=[],
     )
+    run._worth = functools.partial(_Run._worth, run)
     names, at = _Run._without_traces(run, names_of_two(ahead=ahead), whole)
     stay = asked or grown > 0 or (moved > 0 and grown == 0)
     assert at.structure == (whole if stay else bare).structure

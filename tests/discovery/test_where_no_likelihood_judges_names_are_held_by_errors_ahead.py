@@ -108,8 +108,6 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
         harms: bool = False,
     ) -> Any:
         searched = []
-        ahead = replace(GOOD, harms=harms)
-        monkeypatch.setattr(greybox.discovery.workflow, "worth", lambda *_: ahead)
 
         def searches(at: Any) -> Any:
             at = LAST if at is NULL else at
@@ -136,6 +134,7 @@ def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             _settled={},
             _left=lambda *_: Left(axes=(), written=LAWS if lawful else None),
             _rest=lambda _: Left(axes=()),
+            _worth=lambda *_: replace(GOOD, harms=harms),
             _named=lambda *_: (by_likelihood, NAMED),
             _keep=lambda *_: None,
             _beside_laws=lambda names, at, _laws: (names, at),
