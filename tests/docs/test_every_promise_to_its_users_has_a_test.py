@@ -110,7 +110,7 @@ PROMISES: dict[str, dict[str, str]] = {
         "a reader that is not ours": f"{MCAP}::test_another_reader_gets_the_same_numbers",
     },
     "Documentation": {
-        "25 000 words, pages short": f"{SHORT}::test_all_pages_together_are_a_short_book",
+        "a bound on all words, pages short": f"{SHORT}::test_all_pages_together_are_a_short_book",
         "five pages": f"{SHORT}::test_the_learning_path_has_five_pages_and_each_leads_to_the_next",
         "40 words a sentence": f"{SHORT}::test_sentences_of_the_learning_path_are_short",
         "what to do with a bad fit is linked most": f"{SHORT}::"
