@@ -474,7 +474,7 @@ def _scores(flown: _Flown, pilot: Pilot, task: Mission, reference: SampledPath) 
         "event_kinds": dict(Counter(e.what for e in pilot.events)),
         "descended": bool(pilot.descending),
         "nearest": _cells(times, np.min(list(away.values()), axis=0)),
-        "crossings": _crossings(times, path, away),
+        "crossings": _crossings(times, away),
     }
 
 
@@ -521,7 +521,7 @@ def _cells(times: FloatArray, nearest: FloatArray) -> list[float]:
     return [round(float(v), 4) if np.isfinite(v) else math.nan for v in least]
 
 
-def _crossings(times: FloatArray, path: FloatArray, away: dict[str, FloatArray]) -> list[Crossing]:
+def _crossings(times: FloatArray, away: dict[str, FloatArray]) -> list[Crossing]:
     found: list[Crossing] = []
     for name, margin in away.items():
         k = int(np.argmin(margin))
