@@ -282,10 +282,20 @@ def _per_flight(report: Report, fit: FitDocument) -> None:
             report.table(["parameter", *part], rows, numeric=range(1, len(part) + 1))
 
 
+def _at_bounds(fit: FitDocument) -> list[str]:
+    """Parameters of the model at a bound. How long noise lasts is none of them: nothing else
+    depends on it, as a warning of the fit says."""
+    parts = [*fit["settings"].get("noise_parts", []), "disturbance"]
+    noise = tuple(f"{part}." for part in parts)
+    return [
+        n for n, p in fit["parameters"].items() if p.get("at_bound") and not n.startswith(noise)
+    ]
+
+
 def _identifiability(report: Report, fit: FitDocument) -> None:
     report.section("What the data can and cannot tell")
     texts = list(fit.get("unidentifiable", []))
-    bound = [n for n, p in fit["parameters"].items() if p.get("at_bound")]
+    bound = _at_bounds(fit)
     if bound:
         texts.append(
             f"At a bound: {', '.join(bound)}. The data would move it further than its bounds allow."
@@ -318,7 +328,7 @@ def _identifiability(report: Report, fit: FitDocument) -> None:
 def _next(report: Report, fit: FitDocument, validation: ValidationDocument | None) -> None:
     report.heading("What to do next")
     parameters = fit["parameters"]
-    bound = [n for n, p in parameters.items() if p.get("at_bound")]
+    bound = _at_bounds(fit)
     prior = [
         n
         for n, p in parameters.items()
