@@ -23,7 +23,7 @@ from greybox.simulators.laws import (
     no_gyroscopic_moment,
     typical_speed,
 )
-from greybox.simulators.layout import SYMMETRY, order_in
+from greybox.simulators.layout import ANY_LAYOUT, SYMMETRY, order_in
 from greybox.simulators.targets.rotorpy import GRAVITY
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps, symmetric_arms
 from greybox.simulators.yaml_text import yaml_number
@@ -75,7 +75,7 @@ class FlightGoggles:
             raise ModelError(
                 "FlightGoggles has one arm for roll and pitch",
                 got=f"{roll:.4g} and {pitch:.4g} m",
-                fix="choose a target that takes any layout: rotorpy, mujoco, crazyflow, gazebo",
+                fix=ANY_LAYOUT,
             )
         w = Wording(craft, self.simulator)
         quadratic_maps(w, thrust="thrust_coefficient", torque="torque_coefficient")
