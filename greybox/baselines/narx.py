@@ -26,7 +26,7 @@ import numpy.typing as npt
 from greybox.baselines.regressors import Choice, Lags, Point, Space, segments_of
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError, FileFormatError, ModelError
-from greybox.files import checksum, read_json, to_plain, write_json
+from greybox.files import checksum, read_json, to_plain, well_formed, write_json
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.training_report import TrainingDocument
 from greybox.symbolic import FloatArray, evaluate
@@ -181,7 +181,7 @@ class NARXModel:
             raise FileFormatError(
                 "the checksum does not fit", where=str(path), fix="train again; do not edit by hand"
             )
-        try:
+        with well_formed(str(path), fix="train again"):
             return NARXModel(
                 lags=Lags(**body["lags"]),
                 increments=bool(body["increments"]),
@@ -190,8 +190,6 @@ class NARXModel:
                 report=body["report"],
                 dt=body.get("dt"),
             )
-        except (KeyError, TypeError) as error:
-            raise FileFormatError(f"not a NARX model ({error})", where=str(path)) from None
 
 
 def fit_narx(

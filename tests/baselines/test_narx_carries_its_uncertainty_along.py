@@ -12,6 +12,7 @@ from greybox.baselines.narx import NARXModel, fit_narx, search_narx
 from greybox.baselines.regressors import Lags
 from greybox.data import dataset_from_arrays
 from greybox.errors import DataError, FileFormatError, ModelError
+from greybox.files import checksum
 
 pytest.importorskip("gpytorch")
 
@@ -119,6 +120,17 @@ def test_it_survives_the_file_bit_by_bit_and_a_changed_file_is_refused(trained, 
     body["increments"] = not body["increments"]
     path.write_text(json.dumps(body))
     with pytest.raises(FileFormatError, match="checksum"):
+        NARXModel.load(path)
+
+
+@pytest.mark.parametrize("wrong", [{"train_seconds": "long"}, {"lags": []}, {"posterior": 1.0}])
+def test_a_file_that_fits_its_checksum_and_nothing_else_is_refused(trained, tmp_path, wrong):
+    """Whoever made the file made its checksum, too."""
+    path = trained.save(tmp_path / "narx.json")
+    body = json.loads(path.read_text()) | wrong
+    del body["checksum"]
+    path.write_text(json.dumps(body | {"checksum": checksum(body)}))
+    with pytest.raises(FileFormatError, match="incomplete or wrong"):
         NARXModel.load(path)
 
 
