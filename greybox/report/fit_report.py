@@ -370,11 +370,11 @@ def _next(report: Report, fit: FitDocument, validation: ValidationDocument | Non
 
 
 def _reproduce(report: Report, fit: FitDocument) -> None:
-    report.section("How to reproduce this")
-    if fit.get("command"):
-        report.code(str(fit["command"]))
-    rows = [("Data", str(fit["data_hash"]))] if fit.get("data_hash") else []
-    rows += [(f"File {f['name']}", str(f["sha256"])) for f in fit["flights"] if f.get("sha256")]
-    rows += [(str(k), str(v)) for k, v in (fit.get("versions") or {}).items()]
-    if rows:
-        report.facts(rows)
+    report.reproduced_by(
+        fit.get("command", ""),
+        [
+            ("Data", fit.get("data_hash", "")),
+            *((f"File {f['name']}", f.get("sha256", "")) for f in fit["flights"]),
+        ],
+        fit.get("versions") or {},
+    )

@@ -521,10 +521,8 @@ def _events(report: Report, content: MpcDocument) -> None:
 
 
 def _reproduce(report: Report, content: MpcDocument) -> None:
-    report.section("How to reproduce this")
-    report.code(content["command"])
     facts = [("Model file", content["what"]["model_sha256"])]
-    report.facts([*facts, *((k, str(v)) for k, v in content["versions"].items())])
+    report.reproduced_by(content["command"], facts, content["versions"])
 
 
 def format_table(content: MpcDocument) -> str:
