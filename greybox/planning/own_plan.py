@@ -157,15 +157,8 @@ def plan_own(
     """
     subject = _subject(model, free, values, noise, sample_time)
     _demand_ranges(subject.dynamics, ranges, limits or {})
-    step = subject.sample_time
-    demand_lengths(
-        "an experiment",
-        seconds,
-        piece,
-        shortest=(20 * step, "20 samples"),
-        longest=LONGEST_SAMPLES * step,
-    )
-    count, n = whole_pieces(seconds, piece), round(piece / step)
+    _demand_samples(seconds, piece, subject.sample_time)
+    count, n = whole_pieces(seconds, piece), round(piece / subject.sample_time)
     run = _Runner(subject, ranges, limits or {})
     with threadpool_limits(limits=1):
         candidates = _fitting(run, list(ranges), n, seed)
@@ -197,6 +190,11 @@ def plan_own(
         efficiency=efficiency(subject, found, naive),
         warnings=(*warnings, *left_over(seconds, piece)),
     )
+
+
+def _demand_samples(seconds: float, piece: float, step: float) -> None:
+    shortest, longest = (20 * step, "20 samples"), LONGEST_SAMPLES * step
+    demand_lengths("an experiment", seconds, piece, shortest=shortest, longest=longest)
 
 
 def _fitting(
