@@ -169,10 +169,15 @@ def _span(parameter: ParameterRow, std: float | None) -> Cell:
     return Span(low=low, high=high, prior=(middle - 1.96 * sigma, middle + 1.96 * sigma), text=text)
 
 
+def _prior_decides(parameter: ParameterRow) -> bool:
+    """Whether at least half of what is known of it was known before."""
+    return (parameter.get("prior_influence") or 0.0) >= 0.5
+
+
 def _notes(parameter: ParameterRow) -> Cell:
     if parameter.get("at_bound"):
         return Tag(text="at bound")
-    if (parameter.get("prior_influence") or 0.0) >= 0.5:
+    if _prior_decides(parameter):
         return Tag(text="prior decides")
     return "per flight" if parameter.get("per_flight") else None
 
@@ -300,7 +305,7 @@ def _identifiability(report: Report, fit: FitDocument) -> None:
         texts.append(
             f"At a bound: {', '.join(bound)}. The data would move it further than its bounds allow."
         )
-    prior = [n for n, p in fit["parameters"].items() if (p.get("prior_influence") or 0.0) >= 0.5]
+    prior = [n for n, p in fit["parameters"].items() if _prior_decides(p)]
     if prior:
         texts.append(f"Mostly decided by the prior, not by these flights: {', '.join(prior)}.")
     correlations = fit.get("correlations") or {}
@@ -329,11 +334,7 @@ def _next(report: Report, fit: FitDocument, validation: ValidationDocument | Non
     report.heading("What to do next")
     parameters = fit["parameters"]
     bound = _at_bounds(fit)
-    prior = [
-        n
-        for n, p in parameters.items()
-        if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")
-    ]
+    prior = [n for n, p in parameters.items() if _prior_decides(p) and not p.get("at_bound")]
     texts = []
     verdict = fit.get("verdict")
     if verdict and verdict.get("action"):

@@ -26,7 +26,7 @@ from greybox.files import to_plain
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
-from greybox.report.mpc_documents import Crossing, FlightRow, Scores
+from greybox.report.mpc_documents import CELL, Crossing, FlightRow, Scores
 from greybox.symbolic import FloatArray
 from mpc_export.adaptation import flight_parameters
 from mpc_export.feedback import Weights
@@ -44,8 +44,6 @@ ANCILLARY = 64.0
 """Weight on position of the gain inside the tube; eight times the plan's keeps the tube narrow
 (docs/tube_mpc.md)."""
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
-CELL = 0.1
-"""A row keeps the least distance to a limit in cells of this length [s]."""
 CRASH = 100.0
 """Cost of a flight that ends in a crash, per second."""
 REACH = 0.15

@@ -16,7 +16,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.model.effects.parasitic_drag import ParasiticDrag
 from greybox.simulators.change import Change
-from greybox.simulators.craft import Craft
+from greybox.simulators.craft import SHORTEST_LAG, Craft
 from greybox.simulators.laws import (
     DRAGS,
     linear_drag,
@@ -32,8 +32,6 @@ from greybox.symbolic import FloatArray
 PLACES = ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1))
 """Rotors of FlightGoggles: sign of x and y, spin; all spins the other way round are a negative
 torque_coefficient."""
-SHORTEST_LAG = 1e-3
-"""[s]; FlightGoggles divides by the lag."""
 _YAML = """# {name} for FlightGoggles, written by greybox twin: rosparam load FILE /uav
 # Its rotors 0 to 3 are {order}. Commands are rates and thrust, which its own inner loop makes
 # speeds of.
