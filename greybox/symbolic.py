@@ -157,7 +157,7 @@ def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
     """Evaluate a single-output CasADi function over many samples, time first.
 
     Each argument is an array (N, n_i) (or (n_i,) for a value that all samples share); the result is
-    (N, n_out).
+    (N, n_out). Raises `ModelError` for arrays of different length.
     """
     arrays = [np.asarray(c, dtype=np.float64) for c in columns]
     lengths = {a.shape[0] for a in arrays if a.ndim == 2}

@@ -140,7 +140,7 @@ def search_lstm(
     validation error.
 
     `train_seconds` is that of all of them together; `report["search"]` lists every candidate with
-    its error.
+    its error. Raises `DataError` for a budget of none, and data without a complete past.
     """
     if budget < 1:
         raise DataError(f"a search of {budget} candidates", expected="at least 1")
@@ -181,7 +181,7 @@ def residual_variance(
     model: WindowedNetwork, segments: Sequence[Segment], horizon: int = HORIZON
 ) -> FloatArray:
     """Mean squared error (horizon, n_y) of the free run over up to `ORIGINS` origins of the
-    segments."""
+    segments. Raises `DataError` for segments without a sample to measure it on."""
     total: FloatArray = np.zeros((horizon, len(model.outputs)))
     count: FloatArray = np.zeros_like(total)
     for segment in segments:

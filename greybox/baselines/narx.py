@@ -264,7 +264,7 @@ def search_narx(
 
     The error is the mean over outputs of the squared one-step error in units of the training
     variance, as for the LSTM. `train_seconds` is that of all candidates; `report["search"]` lists
-    them.
+    them. Raises `DataError` for a budget of none.
     """
     if budget < 1:
         raise DataError(f"a search of {budget} candidates", expected="at least 1")

@@ -66,7 +66,8 @@ class FlightGoggles:
     source = "Guerra et al. 2019, IROS; flightgoggles_uav_dynamics_node.cpp"
 
     def words(self, craft: Craft) -> tuple[Word, ...]:
-        """Squares of the speed, one lag, drag that is quadratic."""
+        """Squares of the speed, one lag, drag that is quadratic. Raises `ModelError` for rotors that
+        stand otherwise."""
         _order(craft)
         roll, pitch = (float(a) for a in np.abs(_arms(craft)).mean(axis=0)[::-1])
         if abs(roll - pitch) > SYMMETRY * max(roll, pitch):
