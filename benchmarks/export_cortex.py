@@ -19,7 +19,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from benchmarks.cortex import FLAGS, double_helpers, missing_tool, run_on_cortex
 from benchmarks.gp_evaluation import INPUTS, OUTPUTS, posterior
+from benchmarks.variational import derivative, rk4
 from greybox.model.example import example_vehicle
 from greybox.model.model import build_model
 from greybox.model.parameter import nominal_values
@@ -28,8 +30,6 @@ from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import Layout
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import GPKernel
-from mpc_export.cortex import FLAGS, double_helpers, missing_tool, run_on_cortex
-from mpc_export.variational import derivative, rk4
 
 RESULTS = Path(__file__).resolve().parent / "results"
 COLUMNS = ["p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz"]

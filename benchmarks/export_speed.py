@@ -32,6 +32,7 @@ import casadi as ca  # noqa: E402 (after the thread counts)
 import numpy as np  # noqa: E402
 
 from benchmarks.gp_evaluation import INPUTS, OUTPUTS, by_ad, posterior  # noqa: E402
+from benchmarks.variational import derivative, rk4  # noqa: E402
 from greybox.model.example import example_vehicle  # noqa: E402
 from greybox.model.model import build_model  # noqa: E402
 from greybox.model.parameter import nominal_values  # noqa: E402
@@ -41,7 +42,6 @@ from greybox.symbolic import Layout  # noqa: E402
 from mpc_export import c_kernels_common as common  # noqa: E402
 from mpc_export.c_code import FAST_FLAGS, write_c  # noqa: E402
 from mpc_export.c_kernels import GPKernel, merged_factor  # noqa: E402
-from mpc_export.variational import derivative, rk4  # noqa: E402
 
 HERE = Path(__file__).resolve().parent
 ALL = ("mean", "variance", "mean_jacobian", "variance_jacobian")

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import cortex
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
-from mpc_export import cortex
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.in_process import TubeInC
 from mpc_export.tube.library import flight, paths

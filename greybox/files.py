@@ -229,6 +229,18 @@ def _locked(place: Path) -> int | None:
     return handle
 
 
+@contextlib.contextmanager
+def well_formed(where: str, fix: str = "write the file again") -> Iterator[None]:
+    """Around what makes a value of the content of the file `where`: content of another shape than
+    expected is a `FileFormatError`. What greybox itself raises there stays as it is."""
+    try:
+        yield
+    except GreyboxError:
+        raise
+    except MALFORMED as error:
+        raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix=fix) from None
+
+
 def to_plain(value: object) -> Any:
     """Turn NumPy scalars and arrays, tuples, sets and paths into plain JSON values; NaN and
     infinity become None."""

@@ -23,15 +23,6 @@ GRAVITY = 9.80665
 """Standard gravity [m/s^2], used where the vehicle file says nothing else."""
 
 
-def skew(v: Expr) -> Expr:
-    """The matrix [v]x with [v]x w = v x w."""
-    return ca.vertcat(
-        ca.horzcat(0, -v[2], v[1]),
-        ca.horzcat(v[2], 0, -v[0]),
-        ca.horzcat(-v[1], v[0], 0),
-    )
-
-
 def quat_multiply(a: Expr, b: Expr) -> Expr:
     """Hamilton product a * b of quaternions (w, x, y, z)."""
     return ca.vertcat(

@@ -94,7 +94,8 @@ def bars(values: Mapping[str, float], *, x: str, threshold: float, ax: Axes | No
 def deviations(
     names: Sequence[str], values: FloatArray, errors: FloatArray, *, x: str, ax: Axes | None = None
 ) -> Axes:
-    """One row per name: `values` (n,) with bars of `errors` (n,), a line at zero."""
+    """One row per name: `values` (n,) with bars of `errors` (n,), a line at zero. Raises
+    `GreyboxError` where there is nothing to plot."""
     if not names:
         raise GreyboxError("there is nothing to plot", fix="a fit with free parameters")
     if ax is None:

@@ -153,16 +153,11 @@ def safe_norm(v: Expr, eps: float = 1e-12) -> Expr:
     return ca.sqrt(ca.sumsqr(v) + eps * eps) - eps
 
 
-def smooth_step(x: Expr, width: float) -> Expr:
-    """Smooth switch from 0 (x << 0) to 1 (x >> 0), 1/2 at x = 0; `width` in the unit of x."""
-    return 0.5 * (1.0 + ca.tanh(x / width))
-
-
 def evaluate(function: ca.Function, *columns: npt.ArrayLike) -> FloatArray:
     """Evaluate a single-output CasADi function over many samples, time first.
 
     Each argument is an array (N, n_i) (or (n_i,) for a value that all samples share); the result is
-    (N, n_out).
+    (N, n_out). Raises `ModelError` for arrays of different length.
     """
     arrays = [np.asarray(c, dtype=np.float64) for c in columns]
     lengths = {a.shape[0] for a in arrays if a.ndim == 2}

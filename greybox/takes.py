@@ -294,7 +294,6 @@ RESPONDING = Kind(
     error=ModelError,
 )
 TEXT = Kind(words="a text", fits=lambda v: isinstance(v, str))
-NUMBER = Kind(words="a number", fits=is_number)
 NUMBERS = Several(words="a list of numbers", fits=is_number)
 VALUES = ByName(words="names with numbers: {'mass': 0.03}", fits=are_numbers, error=GreyboxError)
 WHOLE = Kind(words="a whole number", fits=is_whole, error=GreyboxError)

@@ -97,6 +97,36 @@ def flight_parameters(model: IdentifiedModel | LinearModel | PredictorModel) -> 
     )
 
 
+def with_flight_spread(model: IdentifiedModel, spread: Mapping[str, float]) -> IdentifiedModel:
+    """The model with these standard deviations of parameters (name -> in its unit) from flight to
+    flight, beside its own. Raises `ModelError`."""
+    for name, sigma in spread.items():
+        if name not in model.values:
+            raise ModelError(
+                f"adapt: the model has no parameter {name}",
+                expected=", ".join(sorted(model.values)),
+            )
+        if not (math.isfinite(sigma) and sigma > 0):
+            raise ModelError(
+                f"adapt: {name} needs a standard deviation above zero", got=f"{sigma:g}"
+            )
+    # what they are off by is learned with them, and no error of the others any more
+    covariance, names = model.covariance.copy(), model.covariance_names
+    for name in spread:
+        sigma, by = model.considered.get(name, (0.0, {}))
+        moves = np.array([by.get(n, 0.0) for n in names])
+        covariance -= sigma**2 * np.outer(moves, moves)
+    return replace(
+        model,
+        covariance=covariance,
+        flight_spread={
+            **model.flight_spread,
+            **{n: (model.values[n], s) for n, s in spread.items()},
+        },
+        considered={n: v for n, v in model.considered.items() if n not in spread},
+    )
+
+
 def adapted(
     model: IdentifiedModel,
     p: Layout,

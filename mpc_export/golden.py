@@ -60,7 +60,7 @@ def golden_vectors(functions: ModelFunctions, points: int, seed: int = 0) -> lis
     for name, function in functions.functions.items():
         # A distance is one minus what the data explain: its scale is one only where that is seen.
         here = told if "distance" in function.name_out() else places
-        given = [_arguments(functions, function, place) for place in here]
+        given = [_arguments(function, place) for place in here]
         got = [
             [v.full().ravel(order="F") for v in function.call([ca.DM(v) for v in row.values()])]
             for row in given
@@ -106,9 +106,7 @@ def _out_of_sight(functions: ModelFunctions, place: dict[str, FloatArray]) -> di
     return out
 
 
-def _arguments(
-    functions: ModelFunctions, function: ca.Function, place: Mapping[str, FloatArray]
-) -> dict[str, FloatArray]:
+def _arguments(function: ca.Function, place: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """What this function takes at a place; f and its Jacobian take the model's own states only."""
     out = {}
     for i, n in enumerate(function.name_in()):

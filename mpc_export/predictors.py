@@ -179,8 +179,7 @@ class PredictorModel:
     sample time `dt` [s].
 
     `kind` is the manifest's word for it, `domain` the training range of signals by name,
-    `reference` = (x, u) a typical point (u with exogenous inputs, in the form's order),
-    `horizon_variance` (h_max, n_y) measured variances of a free run where the predictor has them.
+    `reference` = (x, u) a typical point (u with exogenous inputs, in the form's order).
     """
 
     name: str
@@ -192,7 +191,6 @@ class PredictorModel:
     domain: Mapping[str, tuple[float, float]]
     reference: tuple[FloatArray, FloatArray]
     trained_on: tuple[str, ...] = ()
-    horizon_variance: FloatArray | None = None
 
 
 def predictor_model(
@@ -323,7 +321,6 @@ def _lagged(model: NARXModel | LSTMModel, dt: float | None) -> PredictorModel:
         dt=_time(model.dt, dt, f"a {kind.upper()} model"),
         domain=_ranges(learned),
         reference=_reference(form, _typical(learned)),
-        horizon_variance=model.variance if isinstance(model, LSTMModel) else None,
     )
 
 

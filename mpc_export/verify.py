@@ -408,7 +408,8 @@ def verify_functions(folder: Path, manifest: Manifest, functions: Functions) -> 
 
 
 def load_rebuild(folder: Path) -> dict[str, ca.Function]:
-    """The functions of python/, with the bundle's own interpreter."""
+    """The functions of python/, with the bundle's own interpreter. Raises `VerifyError` where that
+    cannot be read."""
     path = folder / "python" / "rebuild.py"
     # The source itself: what Python may have cached beside it is no part of the bundle.
     try:

@@ -18,8 +18,6 @@ THIRD_DIFFERENCE = np.sqrt(20.0)
 """Standard deviation of the third difference of white noise of unit level: sqrt(1 + 9 + 9 + 1)."""
 NORMAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-PLENTY = 5.0
-"""Times the width of the middle half of the frequency response that the sample rate must be."""
 
 
 @dataclass(frozen=True, kw_only=True)

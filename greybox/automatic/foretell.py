@@ -127,7 +127,7 @@ def _squared_errors(
         for k, h in enumerate(steps):
             truth = references[g][origins + h]
             with np.errstate(over="ignore", invalid="ignore"):
-                e = error_norms(g, _safe(ahead[g][:, h - 1], truth), truth)
+                e = error_norms(g, _safe(ahead[g][:, h - 1]), truth)
             lost = np.isfinite(truth).all(axis=1) & ~np.isfinite(e)
             own[:, j, k] = np.where(lost, np.inf, e**2)
             held[:, j, k] = error_norms(g, last[g][:, h - 1], truth) ** 2
@@ -156,7 +156,7 @@ def _origins(segment: Segment, groups: Sequence[str], dt: float, longest: int) -
     return strided(rows, every, map(segment.matrix, measured))
 
 
-def _safe(predicted: FloatArray, like: FloatArray) -> FloatArray:
+def _safe(predicted: FloatArray) -> FloatArray:
     """Predictions that are not finite as missing."""
     out = np.array(predicted, dtype=np.float64)
     out[~np.isfinite(out).all(axis=1) | (np.abs(out) > 1e6).any(axis=1)] = np.nan

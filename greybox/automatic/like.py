@@ -19,7 +19,8 @@ from greybox.model.beliefs import DEFAULT_SIGMAS
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
 from greybox.model.units import MASSES, powers_of
-from greybox.model.vehicle import Quantity, Vehicle
+from greybox.model.vehicle import Vehicle
+from greybox.model.vehicle_parts import Quantity
 
 
 def like(vehicle: Vehicle, source: IdentifiedModel, facts: Facts) -> Vehicle:

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from greybox.baselines.regressors import Lags, NetworkReport
 from greybox.data import Segment
 from greybox.errors import FileFormatError, ModelError
-from greybox.files import checksum, read_json, to_plain, write_atomic, write_json
+from greybox.files import checksum, read_json, to_plain, well_formed, write_atomic, write_json
 from greybox.residual.array_file import load_arrays, packed
 from greybox.symbolic import FloatArray, Namespace, Numeric
 
@@ -227,7 +227,7 @@ class LSTMModel(WindowedNetwork):
             raise FileFormatError(
                 "the checksum does not fit", where=where, fix="train again; do not edit by hand"
             )
-        try:
+        with well_formed(where, fix="train again"):
             arrays = load_arrays(Path(path).with_suffix(".npz"))
             for name, stated in body["arrays"].items():
                 if checksum(arrays[name]) != stated["sha256"]:
@@ -251,12 +251,6 @@ class LSTMModel(WindowedNetwork):
                 dt=body.get("dt"),
                 **{n: arrays[n] for n in _VECTORS},
             )
-        except FileFormatError:
-            raise
-        except (OSError, KeyError, TypeError, ValueError) as error:
-            raise FileFormatError(
-                f"incomplete or wrong ({error})", where=where, fix="train again"
-            ) from None
 
 
 def _sigmoid(x: Numeric, xp: Namespace) -> Numeric:

@@ -8,7 +8,6 @@ of a stated budget; the model with the lowest validation error wins.
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -17,12 +16,11 @@ import numpy as np
 import torch
 
 from greybox.baselines.lstm import LSTMModel, WindowedNetwork
-from greybox.baselines.regressors import Descent, Lags, Space, segments_of
-from greybox.data import Dataset, Segment
+from greybox.baselines.regressors import Data, Descent, Lags, Space, segments_of
+from greybox.data import Segment
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray
 
-Data = Dataset | Segment | Sequence[Segment]
 HORIZON = 50
 """Horizons for which the variance of the free run is measured on validation data."""
 ORIGINS = 400
@@ -124,64 +122,11 @@ def train_lstm(
     return replace(model, train_seconds=time.perf_counter() - began)
 
 
-def search_lstm(
-    train: Data,
-    validation: Data,
-    *,
-    outputs: Sequence[str],
-    inputs: Sequence[str],
-    budget: int = 6,
-    newest: int = 1,
-    epochs: int = 200,
-    seed: int = 0,
-    progress: Callable[[str], None] | None = None,
-) -> LSTMModel:
-    """The best of `budget` trainings with settings drawn from `SPACE` without repetition, by
-    validation error.
-
-    `train_seconds` is that of all of them together; `report["search"]` lists every candidate with
-    its error.
-    """
-    if budget < 1:
-        raise DataError(f"a search of {budget} candidates", expected="at least 1")
-    grid = [dict(zip(SPACE, values)) for values in itertools.product(*SPACE.values())]
-    chosen = np.random.default_rng(seed).permutation(len(grid))[:budget]
-    best: LSTMModel | None = None
-    tried, seconds = [], 0.0
-    for number, index in enumerate(chosen):
-        point = dict(grid[index])
-        window = point.pop("window")
-        settings = LSTMSettings(n_a=window, n_b=window, newest=newest, epochs=epochs, **point)
-        model = train_lstm(
-            train,
-            validation,
-            outputs=outputs,
-            inputs=inputs,
-            settings=settings,
-            seed=seed + number,
-            progress=progress,
-        )
-        seconds += model.train_seconds
-        tried.append(
-            {
-                **grid[index],
-                "validation": model.report["validation"],
-                "epochs": model.report["epochs"],
-            }
-        )
-        if progress:
-            progress(f"candidate {number + 1} of {budget}: {tried[-1]}")
-        if best is None or model.report["validation"] < best.report["validation"]:
-            best = model
-    assert best is not None
-    return replace(best, train_seconds=seconds, report={**best.report, "search": tried})
-
-
 def residual_variance(
     model: WindowedNetwork, segments: Sequence[Segment], horizon: int = HORIZON
 ) -> FloatArray:
     """Mean squared error (horizon, n_y) of the free run over up to `ORIGINS` origins of the
-    segments."""
+    segments. Raises `DataError` for segments without a sample to measure it on."""
     total: FloatArray = np.zeros((horizon, len(model.outputs)))
     count: FloatArray = np.zeros_like(total)
     for segment in segments:

@@ -10,11 +10,10 @@ Girard et al. 2003, NIPS 15; the GP's own errors count as independent from step 
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TypedDict
@@ -23,16 +22,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.baselines.regressors import Choice, Lags, Point, Space, segments_of
-from greybox.data import Dataset, Segment
-from greybox.errors import DataError, FileFormatError, ModelError
-from greybox.files import checksum, read_json, to_plain, write_json
+from greybox.baselines.regressors import Choice, Data, Lags, Point, Space, segments_of
+from greybox.data import Segment
+from greybox.errors import FileFormatError, ModelError
+from greybox.files import checksum, read_json, to_plain, well_formed, write_json
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.training_report import TrainingDocument
 from greybox.symbolic import FloatArray, evaluate
 
 SCHEMA = "greybox.narx/1"
-Data = Dataset | Segment | Sequence[Segment]
 CHUNK = 4096
 """Origins that are rolled out at once (bounds the memory)."""
 SPACE: Space = {
@@ -181,7 +179,7 @@ class NARXModel:
             raise FileFormatError(
                 "the checksum does not fit", where=str(path), fix="train again; do not edit by hand"
             )
-        try:
+        with well_formed(str(path), fix="train again"):
             return NARXModel(
                 lags=Lags(**body["lags"]),
                 increments=bool(body["increments"]),
@@ -190,8 +188,6 @@ class NARXModel:
                 report=body["report"],
                 dt=body.get("dt"),
             )
-        except (KeyError, TypeError) as error:
-            raise FileFormatError(f"not a NARX model ({error})", where=str(path)) from None
 
 
 def fit_narx(
@@ -248,63 +244,3 @@ def fit_narx(
         },
         dt=segments_of(train)[0].dt,
     )
-
-
-def search_narx(
-    train: Data,
-    validation: Data,
-    *,
-    outputs: Sequence[str],
-    inputs: Sequence[str],
-    budget: int = 6,
-    newest: int = 1,
-    seed: int = 0,
-    progress: Callable[[str], None] | None = None,
-) -> NARXModel:
-    """The best of `budget` models with settings drawn from `SPACE` without repetition, by
-    validation error.
-
-    The error is the mean over outputs of the squared one-step error in units of the training
-    variance, as for the LSTM. `train_seconds` is that of all candidates; `report["search"]` lists
-    them.
-    """
-    if budget < 1:
-        raise DataError(f"a search of {budget} candidates", expected="at least 1")
-    grid = [dict(zip(SPACE, values)) for values in itertools.product(*SPACE.values())]
-    spread = np.nanvar(
-        np.concatenate([s.matrix(tuple(outputs)) for s in segments_of(train)]), axis=0
-    )
-    best: NARXModel | None = None
-    lowest, seconds = float("inf"), 0.0
-    tried: list[Point] = []
-    for index in np.random.default_rng(seed).permutation(len(grid))[:budget]:
-        point = dict(grid[index])
-        lags = point.pop("lags")
-        model = fit_narx(
-            train,
-            outputs=outputs,
-            inputs=inputs,
-            n_a=lags,
-            n_b=lags,
-            newest=newest,
-            seed=seed,
-            **point,
-        )
-        seconds += model.train_seconds
-        errors = [
-            (model.lags.measured(s) - model.one_step(s)[0]) ** 2 for s in segments_of(validation)
-        ]
-        error = float(
-            np.mean(np.nanmean(np.concatenate(errors), axis=0) / np.where(spread > 0, spread, 1.0))
-        )
-        tried.append({**grid[index], "validation": error})
-        if progress:
-            progress(f"candidate {len(tried)} of {budget}: {tried[-1]}")
-        if error < lowest:
-            best, lowest = model, error
-    if best is None:
-        raise DataError(
-            "no candidate of the search predicts the validation data",
-            fix="validate on longer segments",
-        )
-    return replace(best, train_seconds=seconds, report={**best.report, "search": tried})

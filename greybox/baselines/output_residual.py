@@ -35,8 +35,8 @@ from greybox.baselines.output_learner import fit_features
 from greybox.baselines.predictor_features import features_of, layout_of
 from greybox.baselines.regressors import segments_of
 from greybox.data import Dataset, Segment
-from greybox.errors import DataError, FileFormatError, GreyboxError, ModelError
-from greybox.files import MALFORMED, Json, checksum, read_json, to_plain, write_json
+from greybox.errors import DataError, FileFormatError, ModelError
+from greybox.files import Json, checksum, read_json, to_plain, well_formed, write_json
 from greybox.linear.logs import ChannelSpec, parse_channels
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, library_versions
@@ -186,7 +186,7 @@ class OutputHybrid(Shown):
             raise FileFormatError(
                 "the checksum does not fit", where=where, fix="the file was edited; write it again"
             )
-        try:
+        with well_formed(where):
             base = from_dict(body, where=where, effects=effects)
             return OutputHybrid(
                 base=base,
@@ -194,12 +194,6 @@ class OutputHybrid(Shown):
                 train_seconds=float(body["train_seconds"]),
                 report=body["report"],
             )
-        except MALFORMED as error:
-            if isinstance(error, GreyboxError):
-                raise
-            raise FileFormatError(
-                f"incomplete or wrong ({error})", where=where, fix="write it again"
-            ) from None
 
 
 def output_features(

@@ -20,6 +20,8 @@ from greybox.data.channel import channel, is_canonical
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray, IntArray, Layout, Signal
 
+Data = Dataset | Segment | Sequence[Segment]
+"""Flights that a black box is trained on, or judged."""
 Choice = bool | int | float | str
 Space = Mapping[str, Sequence[Choice]]
 """What a search draws from: keyword of a training -> its values."""
@@ -221,7 +223,7 @@ class Lags:
         return np.concatenate(z), np.concatenate(y), np.concatenate(names)
 
 
-def segments_of(data: Dataset | Segment | Sequence[Segment]) -> tuple[Segment, ...]:
+def segments_of(data: Data) -> tuple[Segment, ...]:
     """The segments of a data set, a segment, or several."""
     if isinstance(data, Segment):
         return (data,)

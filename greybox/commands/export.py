@@ -134,6 +134,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
+    if arguments.points is not None and arguments.points < 1:
+        raise DataError("--points", expected="1 support point or more", got=str(arguments.points))
     if arguments.horizon is not None and not 2 <= arguments.horizon <= 100:
         raise DataError("--horizon", expected="2 to 100 stages", got=str(arguments.horizon))
     model = _model(arguments)

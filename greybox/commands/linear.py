@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
         for group in asked.groups
     ]
     content = _content(arguments, asked, (train, test), results)
-    written = _write(Path(arguments.out), content, results, (train, test))
+    written = _write(Path(arguments.out), content, results, test)
     console.result(
         content,
         *(r.format() for r in results),
@@ -316,14 +316,13 @@ def _write(
     out: Path,
     content: LinearDocument,
     results: Sequence[Identified],
-    logs: tuple[Logs, Logs | None],
+    test: Logs | None,
 ) -> str:
     """Writes fit.json, model.json and report.html; returns their names."""
     from greybox.files import write_atomic, write_json
     from greybox.report.linear_report import linear_report
 
-    train, test = logs
-    html = linear_report(content, results, train.records, () if test is None else test.records)
+    html = linear_report(content, results, () if test is None else test.records)
     models = [r.fit.model.to_dict() for r in results]
     write_json(out / "fit.json", content)
     write_json(

@@ -61,9 +61,6 @@ _ROTOR_SPEED = re.compile(r"omega([1-9][0-9]?)")
 GROUPS = ("command", "rotor_speed", *_FIXED)
 """All channel groups."""
 
-INPUT_GROUPS = ("command",)
-"""Groups that were sent rather than measured: held, never interpolated."""
-
 
 def rotor_index(name: str) -> int | None:
     """Number (from 1) of the rotor that a channel `u3` or `omega3` belongs to; None for other

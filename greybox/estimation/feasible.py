@@ -28,7 +28,7 @@ import numpy as np
 from greybox.model.body import PLACES, is_possible, margins
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import physics_of
-from greybox.model.vehicle import EXACT_SCHEMA
+from greybox.model.vehicle_parts import EXACT_SCHEMA
 from greybox.symbolic import FloatArray
 
 NEAR = 0.01

@@ -144,7 +144,8 @@ class Filter:
         recorded commands.
 
         The state at k+1 is x_hat(k+1 | k): measurements up to and including k. Every origin must
-        have `horizon` samples after it. `starts` (m, n_x) replaces those states (at row k+1).
+        have `horizon` samples after it, else `FitError` is raised. `starts` (m, n_x) replaces those
+        states (at row k+1).
         """
         rows = np.asarray(origins) + 1
         if rows.size and rows.max() + horizon > filtered.record.n:

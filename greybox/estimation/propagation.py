@@ -97,7 +97,8 @@ def run_together(
     """As `Propagator.run` for several propagators of one filter, which share the path: one list per
     h = 1 .. horizon.
 
-    The first propagator has the parameters that any other has.
+    The first propagator has the parameters that any other has. Raises `FitError` for an origin with
+    fewer samples after it than the horizon.
     """
     first = propagators[0]
     engine, record = first.engine, filtered.record

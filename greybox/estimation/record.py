@@ -17,7 +17,6 @@ from greybox.errors import DataError
 from greybox.estimation.channel_pattern import Pattern, pattern_of
 from greybox.estimation.engine import Engine, Samples
 from greybox.estimation.recursion import IntArray
-from greybox.model.dynamics import Dynamics
 from greybox.model.noise import lasting_errors
 from greybox.model.state_blocks import usual_of
 from greybox.symbolic import BoolArray, FloatArray
@@ -222,7 +221,7 @@ def channel_means(dataset: Dataset) -> dict[str, float]:
     return {n: a / b for n, (a, b) in sums.items()}
 
 
-def sample_time(dataset: Dataset, dynamics: Dynamics | None = None) -> float:
+def sample_time(dataset: Dataset) -> float:
     """The one sample time of all flights [s]. Raises `DataError` where they differ."""
     steps = sorted({f.dt for f in dataset.flights})
     if not steps:

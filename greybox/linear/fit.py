@@ -226,7 +226,7 @@ def fit_linear(
         input_names=columns.inputs.names,
         output_names=columns.outputs.names,
     )
-    found, choice = _found(scaled, order, columns, options, setup)
+    found, choice = _found(scaled, order, options, setup)
     fit = _assemble(found, scaled, scaling, options, columns)
     fit = replace(fit, order_choice=choice)
     if isinstance(order, str) or fit.order == order:
@@ -268,7 +268,6 @@ def _columns(records: Sequence[Record], setup: LinearSetup) -> _Columns:
 def _found(
     scaled: Sequence[Record],
     order: int | str,
-    columns: _Columns,
     options: Options,
     setup: LinearSetup,
 ) -> tuple[Found, OrderChoice | None]:
@@ -282,8 +281,6 @@ def _found(
             options,
             criterion=setup.criterion,
             cross_validate=setup.cross_validate,
-            names=columns.outputs.names,
-            input_names=columns.inputs.names,
         )
         found = choice.found[choice.order]
     else:

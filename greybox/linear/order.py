@@ -86,8 +86,6 @@ def choose_order(
     *,
     criterion: str = "bic",
     cross_validate: bool = False,
-    names: Sequence[str] | None = None,
-    input_names: Sequence[str] | None = None,
     patience: int = 4,
 ) -> OrderChoice:
     """Fit orders 1 .. largest (scaled records) and choose by `criterion`.

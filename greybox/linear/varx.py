@@ -26,7 +26,6 @@ class Varx:
     theta: FloatArray
     d: FloatArray
     noise: FloatArray
-    d_covariance: FloatArray
 
 
 def lagged(record: Record, past: int, *, last: int | None = None) -> FloatArray:
@@ -93,14 +92,7 @@ def fit_varx(
     noise = rest.T @ rest / max(rows - used, 1)
     d = coefficients[:head].T if feedthrough else np.zeros((p, m))
     theta = coefficients[head:].T.reshape(p, chosen, nz).transpose(1, 0, 2)
-    inverse = _solve_triangular(tri, np.eye(used))[:head] if feedthrough else np.zeros((0, used))
-    return Varx(
-        past=chosen,
-        theta=np.ascontiguousarray(theta),
-        d=d,
-        noise=noise,
-        d_covariance=inverse @ inverse.T,
-    )
+    return Varx(past=chosen, theta=np.ascontiguousarray(theta), d=d, noise=noise)
 
 
 def _triangle_from_covariances(

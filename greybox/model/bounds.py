@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 
-from greybox.model.vehicle import EXACT_SCHEMA, Vehicle
+from greybox.model.vehicle import Vehicle
+from greybox.model.vehicle_parts import EXACT_SCHEMA
 
 FOUR_SIGMA = 4.0
 """Schema /1: standard deviations to either side, so that a large missing effect cannot drag a prior

@@ -19,7 +19,6 @@ from greybox.symbolic import Expr
 
 LONGEST = 1_000_000
 """Operations of one function: what is longer was not written here."""
-TERMINAL = ("INPUT", "OUTPUT", "CONST")
 
 
 @functools.cache

@@ -13,7 +13,7 @@ from greybox.model.body import PLACES, margins, may_be_stated
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import innermost, physics_of
 from greybox.model.parameter import Parameter, ParameterValues, nominal_values
-from greybox.model.vehicle import EXACT_SCHEMA
+from greybox.model.vehicle_parts import EXACT_SCHEMA
 from greybox.symbolic import FloatArray
 
 ROUNDED = 5e-3

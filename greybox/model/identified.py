@@ -20,8 +20,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from greybox.distribution import VERSION
-from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
-from greybox.files import MALFORMED, Json, Parsed, checksum, read_json, to_plain, write_json
+from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.files import Json, Parsed, checksum, read_json, to_plain, well_formed, write_json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import EffectiveLag, effective_lag
@@ -333,7 +333,7 @@ class IdentifiedModel(Shown):
     ) -> IdentifiedModel:
         """Rebuild a model from the values of its file."""
         _check_file(data, where)
-        try:
+        with well_formed(where):
             _demand_sample(data, "sample_time")
             dynamics: Dynamics
             if data["kind"] == "own":
@@ -342,12 +342,6 @@ class IdentifiedModel(Shown):
                 dynamics = _physics_from_dict(data, effects, sensors, where)
             model = _identified_from_dict(data, with_parts(dynamics, _noise_parts(data)), where)
             _check(model)
-        except MALFORMED as error:
-            if isinstance(error, GreyboxError):
-                raise
-            raise FileFormatError(
-                f"incomplete or wrong ({error})", where=where, fix="write the file again"
-            ) from None
         return model
 
 

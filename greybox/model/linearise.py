@@ -243,7 +243,7 @@ def structured_from(
 
     The trim command may itself depend on the parameters; it is held here, which is exact for
     parameters that do not move the trim and a good approximation near it (the operating point of
-    the data is estimated as an offset anyway).
+    the data is estimated as an offset anyway). Raises `UnknownNameError`.
     """
     known = {p.name for p in model.parameters}
     for n in names:

@@ -63,12 +63,6 @@ class Matrices(NamedTuple):
         """Transfer matrix C (zI - A)^-1 B + D at the complex number z, (p, m)."""
         return self.c @ np.linalg.solve(z * np.eye(self.order) - self.a, self.b) + self.d
 
-    def noise_gain(self, z: complex) -> np.ndarray:
-        """Noise transfer matrix I + C (zI - A)^-1 K at z, (p, p)."""
-        return np.eye(len(self.c)) + self.c @ np.linalg.solve(
-            z * np.eye(self.order) - self.a, self.k
-        )
-
     def poles(self) -> np.ndarray:
         """Eigenvalues of A, sorted by real part then imaginary part."""
         return np.sort_complex(np.linalg.eigvals(self.a))

@@ -55,6 +55,11 @@ class Parameter:
                 f"parameter {self.name}: sigma must not be negative", got=f"{self.sigma:g}"
             )
 
+    def excess(self, value: float) -> float:
+        """How much farther a value is from the null than a craft can have it, in its unit:
+        negative where one can, minus infinity where there is no null."""
+        return -math.inf if self.null is None else abs(value - self.null) - self.possible
+
     @property
     def believed(self) -> tuple[float, float]:
         """(mean, standard deviation) of the prior. Without a sigma it is what craft can have at

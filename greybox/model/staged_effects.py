@@ -94,7 +94,8 @@ class StagedEffects:
         self, flow: Flow, x: Mapping[str, Expr], values: Mapping[str, Expr], drift: Expr = None
     ) -> dict[str, Expr]:
         """d memory / dt of all that remember, as a block, pushed by the noise `drift`; none where
-        nothing is remembered."""
+        nothing is remembered. Raises `ModelError` for an effect or sensor that gives another number
+        of them than it declares."""
         parts = []
         for owner in self.owners:
             if owner.name not in self.memory:

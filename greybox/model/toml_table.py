@@ -131,15 +131,6 @@ class TomlTable:
             raise UnknownNameError("value", value, choices, where=self.place(key))
         return value
 
-    def boolean(self, key: str, default: bool) -> bool:
-        """true or false."""
-        value = self.get(key, default)
-        if not isinstance(value, bool):
-            raise self.error(
-                key, "a boolean is needed here", got=describe(value), fix="write true or false"
-            )
-        return value
-
     def array(self, key: str, length: int | None, default: object = _ABSENT) -> list[object]:
         """An array, of `length` entries unless None."""
         value = self.get(key, default)

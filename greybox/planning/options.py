@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TypedDict, Unpack
 
+from greybox.errors import GreyboxError
 from greybox.estimation.options import chosen
 from greybox.model.effect import Effect
 from greybox.planning.limits import Limits
@@ -20,6 +21,31 @@ LIMITS = Kind(
 LONGEST = 3600.0
 """Seconds [s] of all flights beyond which a plan is refused: no battery lasts so long, and
 milliseconds that were given for seconds are caught."""
+
+
+def demand_lengths(
+    of: str, seconds: float, piece: float, *, shortest: tuple[float, str], longest: float
+) -> None:
+    """That a `piece` [s] lasts the `shortest` time at least ([s], and in words), and that all
+    `seconds` of what it is a part `of` hold one and are no more than the `longest` [s]. Raises
+    `GreyboxError`."""
+    least, said = shortest
+    if least <= piece <= seconds <= longest:
+        return
+    wrong = "--piece is longer than --seconds"
+    if seconds > longest:
+        wrong = f"too long {of}"
+    elif not seconds >= least:
+        wrong = f"too short {of}"
+    elif not piece >= least:
+        wrong = "too short a --piece"
+    usual = min(max(5.0, 2 * least), longest / 24)
+    raise GreyboxError(
+        wrong,
+        expected=f"{said} <= --piece <= --seconds <= {longest:g} s",
+        got=f"--piece {piece:g} and --seconds {seconds:g}",
+        fix=f"--seconds {12 * usual:g} --piece {usual:g}",
+    )
 
 
 def whole_pieces(seconds: float, piece: float) -> int:

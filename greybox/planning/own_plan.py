@@ -23,7 +23,7 @@ from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.known import demand_known
 from greybox.model.parameter import Parameter
 from greybox.planning.information import Score, choose, efficiency, errors, information
-from greybox.planning.options import left_over, whole_pieces
+from greybox.planning.options import LONGEST, demand_lengths, left_over, whole_pieces
 from greybox.planning.planning_case import noise_levels, precision_of
 from greybox.symbolic import FloatArray
 
@@ -31,8 +31,8 @@ SCHEMA = "greybox.own_plan/1"
 HOLDS = (0.01, 0.03, 0.1, 0.25, 0.5)
 """Steps between the ends of a range, and between random levels, are held for these shares of a
 piece."""
-LONGEST_SAMPLES = 360_000
-"""The longest experiment: as many samples as an hour of flight at 100 Hz has."""
+LONGEST_SAMPLES = 100 * LONGEST
+"""The longest experiment: as many samples as the longest flight has at 100 Hz."""
 SMALLER, TRIES = 0.7, 12
 """Factor, and how often, by which a piece that leaves a limit is made smaller."""
 Range = tuple[float, float]
@@ -157,7 +157,7 @@ def plan_own(
     """
     subject = _subject(model, free, values, noise, sample_time)
     _demand_ranges(subject.dynamics, ranges, limits or {})
-    _demand_length(seconds, piece, subject.sample_time)
+    _demand_samples(seconds, piece, subject.sample_time)
     count, n = whole_pieces(seconds, piece), round(piece / subject.sample_time)
     run = _Runner(subject, ranges, limits or {})
     with threadpool_limits(limits=1):
@@ -192,15 +192,9 @@ def plan_own(
     )
 
 
-def _demand_length(seconds: float, piece: float, sample_time: float) -> None:
-    longest = LONGEST_SAMPLES * sample_time
-    if not 20 * sample_time <= piece <= seconds <= longest:
-        raise GreyboxError(
-            f"too {'long' if seconds > longest else 'short'} an experiment",
-            expected=f"20 samples <= --piece <= --seconds <= {longest:g} s",
-            got=f"{piece:g} s and {seconds:g} s",
-            fix="--seconds 60 --piece 5",
-        )
+def _demand_samples(seconds: float, piece: float, step: float) -> None:
+    shortest, longest = (20 * step, "20 samples"), LONGEST_SAMPLES * step
+    demand_lengths("an experiment", seconds, piece, shortest=shortest, longest=longest)
 
 
 def _fitting(

@@ -20,7 +20,14 @@ from greybox.planning.excitation_blocks import Flown, excitation_blocks, fit_in,
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
 from greybox.planning.manoeuvres import Trial, tried_together
-from greybox.planning.options import LONGEST, PlanChoices, PlanOptions, left_over, whole_pieces
+from greybox.planning.options import (
+    LONGEST,
+    PlanChoices,
+    PlanOptions,
+    demand_lengths,
+    left_over,
+    whole_pieces,
+)
 from greybox.planning.planning_case import PlanningCase, planning_case
 from greybox.planning.result import Plan, Step
 from greybox.progress import in_notebooks
@@ -122,13 +129,7 @@ def _case(
 def _pieces(o: PlanOptions) -> int:
     """The number of manoeuvres. Raises `GreyboxError` for too short a flight, or too many."""
     seconds, piece, flights = o.seconds, o.piece, o.flights
-    if not 2.0 <= piece <= seconds <= LONGEST:
-        raise GreyboxError(
-            f"too {'long' if seconds > LONGEST else 'short'} a flight",
-            expected=f"2 s <= --piece <= --seconds <= {LONGEST:g} s",
-            got=f"{piece:g} s and {seconds:g} s",
-            fix="--seconds 60 --piece 5",
-        )
+    demand_lengths("a flight", seconds, piece, shortest=(2.0, "2 s"), longest=LONGEST)
     count = whole_pieces(seconds, piece)
     if not 1 <= flights <= count:
         raise GreyboxError(

@@ -249,7 +249,7 @@ def write_log(
     cells.
 
     drop: columns to leave out, a name or a prefix of numbered ones ("omega" drops omega1..n);
-    truth: keep the `true.` and `clean.` columns.
+    truth: keep the `true.` and `clean.` columns. Raises `ValueError` for a log of several plants.
     """
     left_out = set(drop)
     names = [

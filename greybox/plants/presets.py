@@ -115,8 +115,6 @@ SOFT = Gains(
 STIFF = Gains(
     position=6.0, velocity=4.5, position_integral=1.2, attitude=9.0, rate=24.0, rate_integral=20.0
 )
-PROPORTIONAL = Gains(position_integral=0.0, height_integral=0.0, rate_integral=0.0)
-"""No integrators: trim errors stay visible in the flight path."""
 
 
 def _process(airframe: Airframe) -> ProcessNoise:

@@ -141,6 +141,7 @@ class Quadrotor:
         are those of the centre of mass, world; attitude (w, x, y, z); rates [rad/s]; charge_used [A
         s] is what the battery has already given. nu: speed of each rotor, where it is not that of
         hover; sent: commands that were sent before, as pairs (time < 0 [s], command), oldest first.
+        Raises `ValueError` for another number of seeds than the parameters have values.
         """
         self._batch = None if isinstance(seed, int | np.integer) else len(seed)
         if self._members is not None and self._batch != self._members:

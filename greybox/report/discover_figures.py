@@ -13,9 +13,6 @@ from greybox.report.figures import _SHORT, _TOP, WIDTH, _axes, _figure, _plain
 from greybox.report.svg import INK, MUTED, SERIES
 from greybox.report.words import number
 
-DECIBEL = 15.0
-"""Density [dB above white] that is drawn at full depth."""
-
 
 def paired_bars(
     names: Sequence[str], before: npt.ArrayLike, after: npt.ArrayLike, *, unit: str, title: str

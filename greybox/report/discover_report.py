@@ -547,15 +547,14 @@ def _next_with_laws(content: DiscoveryDocument) -> list[str]:
 
 
 def _reproduce(report: Report, content: DiscoveryDocument) -> None:
-    report.section("How to reproduce this")
-    if content.get("command"):
-        report.code(str(content["command"]))
-    rows = [("Data", str(content["data_hash"]))] if content["data_hash"] else []
-    if content["trained_on"]:
-        rows.append(("Searched in", ", ".join(content["trained_on"])))
-    if content["tested_on"]:
-        rows.append(("Gap judged on", ", ".join(content["tested_on"])))
-    rows += [(str(k), str(v)) for k, v in content["settings"].items()]
-    rows.append(("seconds", number(content["seconds"], 3)))
-    rows += [(str(k), str(v)) for k, v in content["versions"].items()]
-    report.facts(rows)
+    report.reproduced_by(
+        content.get("command", ""),
+        [
+            ("Data", str(content["data_hash"] or "")),
+            ("Searched in", ", ".join(content["trained_on"])),
+            ("Gap judged on", ", ".join(content["tested_on"])),
+            *((k, str(v)) for k, v in content["settings"].items()),
+            ("seconds", number(content["seconds"], 3)),
+        ],
+        content["versions"],
+    )

@@ -285,7 +285,7 @@ def dot_plot(
 
 def heat_map(names: Sequence[str], matrix: npt.ArrayLike) -> Figure:
     """Correlation matrix (K, K) of parameters: blue positive, orange negative, the deeper the
-    stronger."""
+    stronger. Raises `DataError` for another shape."""
     r = np.asarray(matrix, dtype=np.float64)
     k = len(names)
     if r.shape != (k, k):

@@ -169,10 +169,15 @@ def _span(parameter: ParameterRow, std: float | None) -> Cell:
     return Span(low=low, high=high, prior=(middle - 1.96 * sigma, middle + 1.96 * sigma), text=text)
 
 
+def _prior_decides(parameter: ParameterRow) -> bool:
+    """Whether at least half of what is known of it was known before."""
+    return (parameter.get("prior_influence") or 0.0) >= 0.5
+
+
 def _notes(parameter: ParameterRow) -> Cell:
     if parameter.get("at_bound"):
         return Tag(text="at bound")
-    if (parameter.get("prior_influence") or 0.0) >= 0.5:
+    if _prior_decides(parameter):
         return Tag(text="prior decides")
     return "per flight" if parameter.get("per_flight") else None
 
@@ -282,15 +287,25 @@ def _per_flight(report: Report, fit: FitDocument) -> None:
             report.table(["parameter", *part], rows, numeric=range(1, len(part) + 1))
 
 
+def _at_bounds(fit: FitDocument) -> list[str]:
+    """Parameters of the model at a bound. How long noise lasts is none of them: nothing else
+    depends on it, as a warning of the fit says."""
+    parts = [*fit["settings"].get("noise_parts", []), "disturbance"]
+    noise = tuple(f"{part}." for part in parts)
+    return [
+        n for n, p in fit["parameters"].items() if p.get("at_bound") and not n.startswith(noise)
+    ]
+
+
 def _identifiability(report: Report, fit: FitDocument) -> None:
     report.section("What the data can and cannot tell")
     texts = list(fit.get("unidentifiable", []))
-    bound = [n for n, p in fit["parameters"].items() if p.get("at_bound")]
+    bound = _at_bounds(fit)
     if bound:
         texts.append(
             f"At a bound: {', '.join(bound)}. The data would move it further than its bounds allow."
         )
-    prior = [n for n, p in fit["parameters"].items() if (p.get("prior_influence") or 0.0) >= 0.5]
+    prior = [n for n, p in fit["parameters"].items() if _prior_decides(p)]
     if prior:
         texts.append(f"Mostly decided by the prior, not by these flights: {', '.join(prior)}.")
     correlations = fit.get("correlations") or {}
@@ -318,12 +333,8 @@ def _identifiability(report: Report, fit: FitDocument) -> None:
 def _next(report: Report, fit: FitDocument, validation: ValidationDocument | None) -> None:
     report.heading("What to do next")
     parameters = fit["parameters"]
-    bound = [n for n, p in parameters.items() if p.get("at_bound")]
-    prior = [
-        n
-        for n, p in parameters.items()
-        if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")
-    ]
+    bound = _at_bounds(fit)
+    prior = [n for n, p in parameters.items() if _prior_decides(p) and not p.get("at_bound")]
     texts = []
     verdict = fit.get("verdict")
     if verdict and verdict.get("action"):
@@ -360,11 +371,11 @@ def _next(report: Report, fit: FitDocument, validation: ValidationDocument | Non
 
 
 def _reproduce(report: Report, fit: FitDocument) -> None:
-    report.section("How to reproduce this")
-    if fit.get("command"):
-        report.code(str(fit["command"]))
-    rows = [("Data", str(fit["data_hash"]))] if fit.get("data_hash") else []
-    rows += [(f"File {f['name']}", str(f["sha256"])) for f in fit["flights"] if f.get("sha256")]
-    rows += [(str(k), str(v)) for k, v in (fit.get("versions") or {}).items()]
-    if rows:
-        report.facts(rows)
+    report.reproduced_by(
+        fit.get("command", ""),
+        [
+            ("Data", fit.get("data_hash", "")),
+            *((f"File {f['name']}", f.get("sha256", "")) for f in fit["flights"]),
+        ],
+        fit.get("versions") or {},
+    )

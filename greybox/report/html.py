@@ -15,7 +15,7 @@ import contextlib
 import functools
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
@@ -308,6 +308,18 @@ class Report:
         if marked not in self._scripts:
             self._scripts.append(marked)
             self._css += css
+
+    def reproduced_by(
+        self, command: str, facts: Sequence[tuple[str, str]], versions: Mapping[str, str]
+    ) -> None:
+        """The last section: the command, what went in (label, value; empty ones are left out), and
+        the versions of what ran."""
+        self.section("How to reproduce this")
+        if command:
+            self.code(command)
+        rows = [(label, value) for label, value in facts if value]
+        if rows or versions:
+            self.facts([*rows, *versions.items()])
 
     def html(self) -> str:
         """The whole page."""

@@ -415,10 +415,9 @@ def _next(report: Report, content: LearnDocument, validation: BeforeAfter) -> No
 
 
 def _reproduce(report: Report, content: LearnDocument) -> None:
-    report.section("How to reproduce this")
-    if content.get("command"):
-        report.code(str(content["command"]))
-    rows = [("Data", str(content["data_hash"]))] if content.get("data_hash") else []
-    rows += [("Flights", ", ".join(content.get("trained_on", [])))]
-    rows += [(str(k), str(v)) for k, v in (content.get("versions") or {}).items()]
-    report.facts(rows)
+    flights = ", ".join(content.get("trained_on", []))
+    report.reproduced_by(
+        content.get("command", ""),
+        [("Data", content.get("data_hash", "")), ("Flights", flights)],
+        content.get("versions") or {},
+    )

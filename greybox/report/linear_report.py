@@ -21,13 +21,10 @@ from greybox.report.words import p_value
 
 
 def linear_report(
-    content: LinearDocument,
-    results: Sequence[Identified],
-    train: Sequence[Record],
-    test: Sequence[Record],
+    content: LinearDocument, results: Sequence[Identified], test: Sequence[Record]
 ) -> str:
-    """The page for the content of fit.json, the fits behind it and the records they were scored
-    on."""
+    """The page for the content of fit.json, the fits behind it and the `test` records they were
+    scored on."""
     names = ", ".join(s["name"] for s in content["outputs"])
     report = Report(
         "Linear model",

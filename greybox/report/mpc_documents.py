@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import Literal, NotRequired, TypedDict
 
 Risk = Literal["rehearsal", "boole"]
+CELL = 0.1
+"""A row keeps the least distance to a limit (`nearest`) in cells of this length [s]."""
 
 
 class Concluded(TypedDict):

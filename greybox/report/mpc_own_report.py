@@ -44,14 +44,8 @@ def mpc_own_report(content: OwnDocument, traces: Traces) -> str:
         report.bullets(content["next"])
     _table(report, content)
     _what(report, content)
-    report.section("How to reproduce this")
-    report.code(content["command"])
-    report.facts(
-        [
-            ("Model file", content["model_sha256"]),
-            *((k, str(v)) for k, v in content["versions"].items()),
-        ]
-    )
+    facts = [("Model file", content["model_sha256"])]
+    report.reproduced_by(content["command"], facts, content["versions"])
     return report.html()
 
 

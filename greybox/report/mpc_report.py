@@ -13,6 +13,7 @@ from greybox.report import figures, mpc_figures
 from greybox.report.html import Cell, Key, Report, script
 from greybox.report.mpc_animation import CSS, Animation, look, markup, packed
 from greybox.report.mpc_documents import (
+    CELL,
     Counted,
     FlightRow,
     FlightTrace,
@@ -34,8 +35,6 @@ MARGIN_KEY = (
     Key(text="worst flight", colour="ink"),
     Key(text="median flight", colour="ink", stroke="dash"),
 )
-CELL = 0.1
-"""Length of the cells of a row's `nearest` [s]."""
 
 
 def mpc_report(content: MpcDocument, rows: Sequence[FlightRow], traces: Traces) -> str:
@@ -521,10 +520,8 @@ def _events(report: Report, content: MpcDocument) -> None:
 
 
 def _reproduce(report: Report, content: MpcDocument) -> None:
-    report.section("How to reproduce this")
-    report.code(content["command"])
     facts = [("Model file", content["what"]["model_sha256"])]
-    report.facts([*facts, *((k, str(v)) for k, v in content["versions"].items())])
+    report.reproduced_by(content["command"], facts, content["versions"])
 
 
 def format_table(content: MpcDocument) -> str:

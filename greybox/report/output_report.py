@@ -61,12 +61,8 @@ def output_report(content: OutputDocument) -> str:
         report.paragraph(f"Judged on {', '.join(content['judged_on'])}.")
         _one_step(report, validation)
         _free_runs(report, validation)
-    report.section("How to reproduce this")
-    report.code(content["command"])
-    report.facts(
-        [("Data", content["data_hash"]), ("Flights", ", ".join(content["trained_on"]))]
-        + [(k, str(v)) for k, v in content["versions"].items()]
-    )
+    facts = [("Data", content["data_hash"]), ("Flights", ", ".join(content["trained_on"]))]
+    report.reproduced_by(content["command"], facts, content["versions"])
     return report.html()
 
 

@@ -94,14 +94,8 @@ def rates_report(content: RatesDocument, traces: Traces, *, stage: float) -> str
         report.live(_markup(data), script("rates_animation"), CSS)
     _table(report, content)
     _what(report, content)
-    report.section("How to reproduce this")
-    report.code(content["command"])
-    report.facts(
-        [
-            ("Model file", content["model_sha256"]),
-            *((k, str(v)) for k, v in content["versions"].items()),
-        ]
-    )
+    facts = [("Model file", content["model_sha256"])]
+    report.reproduced_by(content["command"], facts, content["versions"])
     return report.html()
 
 

@@ -29,6 +29,34 @@ class AsFunction:
         """Several quantities of one z (n_in, 1)."""
         raise NotImplementedError
 
+    def mean(self, z: Expr) -> Expr:
+        """Posterior mean (n_out, 1) in output units at z (n_in, 1), for SX, MX, DM or plain
+        numbers."""
+        return self.expressions(z, ("mean",))["mean"]
+
+    def variance(self, z: Expr, noise: bool | str = False) -> Expr:
+        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new
+        measured sample.
+
+        `noise` may also be the name of a group (flight) whose own noise level counts. Never
+        negative.
+        """
+        return self.expressions(z, ("variance",), noise=noise)["variance"]
+
+    def mean_jacobian(self, z: Expr) -> Expr:
+        """d mean/dz (n_out, n_in), analytic."""
+        return self.expressions(z, ("mean_jacobian",))["mean_jacobian"]
+
+    def variance_jacobian(self, z: Expr) -> Expr:
+        """d variance/dz (n_out, n_in), analytic; the noise is constant and does not count."""
+        return self.expressions(z, ("variance_jacobian",))["variance_jacobian"]
+
+    def distance(self, z: Expr) -> Expr:
+        """How far z is from the training data, a scalar in [0, 1]: 0 where these determine the
+        function, 1 where they say nothing, as everywhere without active outputs. Of a Gaussian
+        process the largest share of a prior variance that the support points leave unexplained."""
+        return self.expressions(z, ("distance",))["distance"]
+
     def function(
         self,
         name: str | None = None,

@@ -19,7 +19,7 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.estimation.fit import Fit, fit, noise_of
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.levenberg_marquardt import ARRIVED, LevenbergMarquardt
 from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import ParameterValues
 from greybox.residual.features import features
@@ -27,10 +27,6 @@ from greybox.residual.open_loop_fit import OpenLoopFit, Progress, WeightedHybrid
 from greybox.residual.strengths import harmless, worth
 from greybox.residual.weight_space import Candidate, factors, members_of, weighted
 from greybox.symbolic import Expr
-
-ARRIVED = 1e-3
-"""Log likelihood that a further step promises where the search ends: a twentieth of a standard
-error."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -124,7 +124,8 @@ def discrepancy(
 def discrepancy_and_features(
     model: IdentifiedModel, data: Dataset, names: Sequence[str], *, block: int | None = None
 ) -> tuple[Discrepancy, tuple[FloatArray, ...]]:
-    """`discrepancy` and the features (n, n_in) of every sample of the segments it is made of."""
+    """`discrepancy` and the features (n, n_in) of every sample of the segments it is made of.
+    Raises `ModelError` for a model without disturbance states."""
     dynamics = model.dynamics
     rows = [i for i, n in enumerate(dynamics.states.names) if n.startswith("disturbance.")]
     if not rows:

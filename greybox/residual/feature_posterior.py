@@ -123,15 +123,6 @@ class FeaturePosterior(AsFunction, Shown):
         """Per output: whether the data say anything about it."""
         return tuple(bool(v) for v in np.any(self.weights != 0.0, axis=0))
 
-    def mean(self, z: Expr) -> Expr:
-        """Mean (n_out, 1) in output units at z (n_in, 1)."""
-        return self.expressions(z, ("mean",))["mean"]
-
-    def variance(self, z: Expr, noise: bool = False) -> Expr:
-        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new
-        sample."""
-        return self.expressions(z, ("variance",), noise=noise)["variance"]
-
     def expressions(
         self,
         z: Expr,

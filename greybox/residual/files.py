@@ -13,8 +13,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from greybox.errors import FileFormatError, GreyboxError
-from greybox.files import MALFORMED, Json, Parsed, checksum, read_json
+from greybox.errors import FileFormatError
+from greybox.files import Json, Parsed, checksum, read_json, well_formed
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel
 from greybox.model.sensor import Sensor
@@ -53,17 +53,11 @@ def load_model(
             where=where,
             fix="the file was edited or cut off; write it again",
         )
-    try:
+    with well_formed(where):
         base = IdentifiedModel.from_dict(
             data["base"], where=where, effects=effects, sensors=sensors
         )
         return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=read_part(data)))
-    except MALFORMED as error:
-        if isinstance(error, GreyboxError):
-            raise
-        raise FileFormatError(
-            f"incomplete or wrong ({error})", where=where, fix="write the file again"
-        ) from None
 
 
 def _checksum(body: Mapping[str, Json]) -> str:

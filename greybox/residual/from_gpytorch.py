@@ -83,7 +83,7 @@ def from_gpytorch(
     posterior = read_model(own, likelihood, jitter)
     center, scale, outcome = _transforms(own, posterior.inputs.shape[1])
     told = _reference(own)
-    gp = _assembled(posterior, own, center, scale, outcome)
+    gp = _assembled(posterior, center, scale, outcome)
     _compare(gp, posterior, told, center, scale)
     return _named(_scaled(gp, input_transform, output_transform), inputs, outputs)
 
@@ -355,7 +355,6 @@ def _transforms(
 
 def _assembled(
     posterior: Posterior,
-    model: Model,
     center: FloatArray,
     scale: FloatArray,
     outcome: tuple[FloatArray, FloatArray] | None,

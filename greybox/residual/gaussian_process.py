@@ -195,29 +195,6 @@ class GaussianProcess(AsFunction, Shown):
 
     # -------------------- predictions
 
-    def mean(self, z: Expr) -> Expr:
-        """Posterior mean (n_out, 1) in output units at z (n_in, 1), for SX, MX, DM or plain
-        numbers."""
-        return self.expressions(z, ("mean",))["mean"]
-
-    def variance(self, z: Expr, noise: bool = False) -> Expr:
-        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new
-        sample."""
-        return self.expressions(z, ("variance",), noise=noise)["variance"]
-
-    def mean_jacobian(self, z: Expr) -> Expr:
-        """d mean/dz (n_out, n_in), analytic."""
-        return self.expressions(z, ("mean_jacobian",))["mean_jacobian"]
-
-    def variance_jacobian(self, z: Expr) -> Expr:
-        """d variance/dz (n_out, n_in), analytic."""
-        return self.expressions(z, ("variance_jacobian",))["variance_jacobian"]
-
-    def distance(self, z: Expr) -> Expr:
-        """How far z is from the training data, in [0, 1]: the largest share of a prior variance
-        that the support points leave unexplained."""
-        return self.expressions(z, ("distance",))["distance"]
-
     def expressions(
         self,
         z: Expr,

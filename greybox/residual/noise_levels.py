@@ -28,7 +28,7 @@ from greybox.estimation.record import make_record
 from greybox.estimation.settling import Settling
 from greybox.estimation.solved import solved
 from greybox.estimation.solver import Value
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.levenberg_marquardt import ARRIVED, LevenbergMarquardt
 from greybox.estimation.unknown import Unknown
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -37,8 +37,6 @@ LIMITS = (0.02, 5.0)
 """Bounds of the factors on the levels."""
 WIDE = (1e-3, 50.0)
 """Bounds of the factors where every level has its own."""
-ARRIVED = 1e-3
-"""Log likelihood that a further step promises where the search ends."""
 NOT_FINITE = Value(cost=np.inf, likelihood=np.inf, valid=False)
 
 

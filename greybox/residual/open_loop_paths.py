@@ -190,7 +190,7 @@ class Paths:
         self, record: Record
     ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
         """(p, rows (m,), filter's states (n, n_x), errors (m, H, n_e), mask alike) of one
-        record."""
+        record. Raises `FitError` for a prediction that is not finite."""
         p = np.concatenate([self.model.flight_vector(record.flight), self.extra])
         found = self.gains(record)
         run = self.engine.run(

@@ -199,38 +199,6 @@ class GPPosterior(AsFunction, Shown):
         """The support points in the inputs' units, (M, n_in)."""
         return self.support * self.input_scale + self.input_mean
 
-    def mean(self, z: Expr) -> Expr:
-        """Posterior mean (n_out, 1) in output units at z (n_in, 1), for SX, MX, DM or plain
-        numbers."""
-        return self.expressions(z, ("mean",))["mean"]
-
-    def variance(self, z: Expr, noise: bool | str = False) -> Expr:
-        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new
-        measured sample.
-
-        `noise` may also be the name of a group (flight) whose own noise level counts. Never
-        negative.
-        """
-        return self.expressions(z, ("variance",), noise=noise)["variance"]
-
-    def mean_jacobian(self, z: Expr) -> Expr:
-        """d mean/dz (n_out, n_in), analytic."""
-        return self.expressions(z, ("mean_jacobian",))["mean_jacobian"]
-
-    def variance_jacobian(self, z: Expr) -> Expr:
-        """d variance/dz (n_out, n_in), analytic; the noise is constant and does not count."""
-        return self.expressions(z, ("variance_jacobian",))["variance_jacobian"]
-
-    def distance(self, z: Expr) -> Expr:
-        """How far z is from the training data, a scalar in [0, 1]: the largest of `distances` over
-        the active outputs.
-
-        0 where the support points determine the function, 1 where they say nothing.
-        `domain.distance` holds its quantiles over the training inputs. A GP without active outputs
-        knows no domain: 1 everywhere.
-        """
-        return self.expressions(z, ("distance",))["distance"]
-
     def distances(self, z: Expr) -> Expr:
         """Per output (n_out, 1) the share of the prior variance that the support points leave
         unexplained, 1 - |L1 k(x)|^2/k(x, x): the conditional variance in which Burt, Rasmussen and

@@ -128,7 +128,7 @@ def train(task: Task, rows: Rows, points: int, start: Start | None = None) -> Tr
         if constant[j]:
             assert start is not None
             mean_square = float(np.mean(data.y[:, j] ** 2))
-            done.append(_null_output(start.hypers[j], mean_square, len(support.points)))
+            done.append(_null_output(start.hypers[j], mean_square))
             continue
         hyper = replace(hypers[j], kernel=support.kernels[j])
         done.append(_output(hyper, support.levels[j], support.points, data, j, rows, o))
@@ -254,7 +254,7 @@ def _scale(values: FloatArray) -> FloatArray:
     return np.where(values > 0, values, 1.0)
 
 
-def _null_output(hyper: Hyper, mean_square: float, points: int) -> TrainedOutput:
+def _null_output(hyper: Hyper, mean_square: float) -> TrainedOutput:
     """Zero mean; the kernel's variance is the leftover, at most what the data show, and the rest is
     noise."""
     kernel = hyper.kernel

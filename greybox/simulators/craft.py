@@ -26,6 +26,8 @@ from greybox.symbolic import BoolArray, FloatArray
 COUNTED_SPEED = 1000.0
 """Full rotor speed [rad/s] that files are written with where the vehicle file states none: thrust,
 torque and drag do not depend on the choice, since their coefficients are scaled with it."""
+SHORTEST_LAG = 1e-3
+"""Lag [s] of rotors that have none, where a simulator divides by it."""
 TOLERANCE = 1e-9
 """Of the triangle inequality, as a share of the largest moment: rounding of a flat body's."""
 

@@ -26,10 +26,10 @@ from greybox.residual.drawn_push import DrawnPush
 from greybox.residual.hybrid import HybridModel
 from greybox.simulators.command_text import EFFECTS as COMMANDS
 from greybox.simulators.coordinates import MOMENTS, PLACES, PRODUCTS, Coordinates
-from greybox.simulators.craft import Craft, of_a_body
+from greybox.simulators.craft import SHORTEST_LAG, Craft, of_a_body
 from greybox.simulators.laws import linear_drag
 from greybox.simulators.principal_axes import principal_axes
-from greybox.simulators.targets.crazyflow import PER_MINUTE, SHORTEST_LAG
+from greybox.simulators.targets.crazyflow import PER_MINUTE
 from greybox.simulators.targets.mujoco import tangent, yaw_ratio
 from greybox.simulators.words import square_at_hover
 from greybox.symbolic import BoolArray, FloatArray

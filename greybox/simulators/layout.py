@@ -13,6 +13,8 @@ from greybox.symbolic import FloatArray
 
 SYMMETRY = 0.02
 """Largest difference of arms, as a share of the longest one, that still counts as symmetric."""
+ANY_LAYOUT = "choose a target that takes any layout: rotorpy, mujoco, crazyflow, gazebo"
+"""What is to be done where rotors stand as a simulator does not have them."""
 Place = tuple[int, int, int]
 """Sign of x and of y of a hub, and spin."""
 
@@ -29,7 +31,7 @@ def order_in(
     if craft.count != len(places):
         raise ModelError(
             f"{simulator} has {len(places)} rotors, {craft.title} {craft.count}",
-            fix="choose a target that takes any layout: rotorpy, mujoco, crazyflow, gazebo",
+            fix=ANY_LAYOUT,
         )
     hubs = craft.hubs[:, :2] - craft.hubs[:, :2].mean(axis=0)
     tolerance = SYMMETRY * float(np.abs(hubs).max())
@@ -46,7 +48,7 @@ def order_in(
         f"{simulator} cannot express the rotors of {craft.title}",
         expected=f"hubs and spins as {', '.join(_words(p) for p in places)}",
         got=", ".join(_words(r) for r in rotors),
-        fix="choose a target that takes any layout: rotorpy, mujoco, crazyflow, gazebo",
+        fix=ANY_LAYOUT,
     )
 
 
@@ -58,7 +60,7 @@ def _check_arms(hubs: FloatArray, tolerance: float, simulator: str) -> None:
             raise ModelError(
                 f"{simulator} has one arm along {name}",
                 got=f"{arms.min():.4g} to {arms.max():.4g} m",
-                fix="choose a target that takes any layout: rotorpy, mujoco, crazyflow, gazebo",
+                fix=ANY_LAYOUT,
             )
 
 

@@ -167,14 +167,15 @@ def twin(
     notes = [] if craft.speed_known else [_counted(craft)]
     for target in chosen:
         try:
-            said = state(target, craft)
+            stated = state(target, craft)
         except ModelError as error:
+            said = f"no files for {target.name}: {error.line}"
             if targets:
-                raise
-            notes.append(f"no files for {target.name}: {error.line}")
+                raise ModelError(f"nothing is written, {said}") from None
+            notes.append(said)
             continue
-        statements.append(said)
-        texts = _texts(target, craft, said, pushes)
+        statements.append(stated)
+        texts = _texts(target, craft, stated, pushes)
         files |= {f"{target.name}/{name}": text for name, text in texts.items()}
         files[f"{target.name}/sensors.toml"] = sensors
     covered: tuple[Covered, ...] = ()

@@ -58,17 +58,12 @@ class ImuBias:
 
 @dataclass(frozen=True, kw_only=True)
 class ImuRecord:
-    """Measured rate [rad/s] and specific force [m/s^2], (N, 3) each, uniform in time; `filled`
-    samples were missing.
-
-    Missing samples are interpolated linearly in time, since an integrator needs them all; `filled`
-    counts them.
-    """
+    """Measured rate [rad/s] and specific force [m/s^2], (N, 3) each, uniform in time. Missing
+    samples are interpolated linearly, since an integrator needs them all."""
 
     rate: FloatArray
     specific_force: FloatArray
     sample_time: float
-    filled: int = 0
 
     @classmethod
     def of(
@@ -76,7 +71,7 @@ class ImuRecord:
     ) -> ImuRecord:
         """From measured arrays (N, 3), NaN = missing. Raises `DataError` where a whole column is
         missing."""
-        parts, filled = [], 0
+        parts = []
         for name, values in (("rate", rate), ("specific force", specific_force)):
             array = columns(values, what=name).copy()
             if array.shape[1] != 3:
@@ -89,7 +84,6 @@ class ImuRecord:
                         f"dead reckoning needs all three axes of the {name}",
                         fix="leave this row out",
                     )
-                filled += int(len(column) - seen.sum())
                 column[~seen] = np.interp(index[~seen], index[seen], column[seen])
             parts.append(array)
         if len(parts[0]) != len(parts[1]):
@@ -97,7 +91,7 @@ class ImuRecord:
                 "rate and specific force differ in length",
                 got=f"{len(parts[0])} and {len(parts[1])}",
             )
-        return cls(rate=parts[0], specific_force=parts[1], sample_time=sample_time, filled=filled)
+        return cls(rate=parts[0], specific_force=parts[1], sample_time=sample_time)
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:

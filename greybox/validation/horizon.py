@@ -10,7 +10,6 @@ Errors are summed while they are computed: one stretch of one flight at a time i
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -35,38 +34,6 @@ flight of 40 s still has twenty."""
 
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 """The golden section: its multiples fill an interval evenly, and in step with no other number."""
-
-
-def find_origins(
-    t: npt.ArrayLike,
-    *,
-    sample_time: float,
-    required: int = REQUIRED,
-    start: float | None = None,
-    step: int = 1,
-) -> list[IntArray]:
-    """Origins of a flight, one array per stretch without gap: indices k with k..k+required
-    uninterrupted.
-
-    `t` (N,) [s] increasing; a gap is a time difference above 1.5 `sample_time`. `start` [s]:
-    origins only at t >= t[0] + start (after the seconds that per-flight parameters were adapted
-    on). `step`: every step-th origin. Raises `DataError` for a clock that does not increase.
-    """
-    clock = np.asarray(t, dtype=np.float64)
-    if clock.ndim != 1 or not np.all(np.isfinite(clock)) or np.any(np.diff(clock) <= 0):
-        raise DataError(
-            "origins need an increasing clock without missing times", expected="t (N,) in seconds"
-        )
-    if required < 1 or step < 1 or not sample_time > 0:
-        raise DataError("origins: required >= 1, step >= 1 and sample_time > 0 are needed")
-    first = 0 if start is None else int(np.searchsorted(clock, clock[0] + start - 1e-9))
-    breaks = np.flatnonzero(np.diff(clock) > 1.5 * sample_time) + 1
-    edges = [0, *breaks.tolist(), len(clock)]
-    found = [
-        np.arange(max(a, first), b - required, step, dtype=np.int64)
-        for a, b in itertools.pairwise(edges)
-    ]
-    return [f for f in found if len(f)]
 
 
 def spread_origins(rows: IntArray, every: int) -> IntArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import weakref
 from dataclasses import dataclass, field
 
 from greybox.data import Dataset
@@ -13,6 +14,9 @@ from greybox.model.layer import physics_of
 from greybox.validation.gap import GapRow, HeldOutErrors, Squares, gap, predict_ahead
 from greybox.validation.validate import verdict_on
 
+_Known = weakref.WeakKeyDictionary[IdentifiedModel, dict[bool, HeldOutErrors | None]]
+"""Errors without and with what has no name, as long as somebody has the model."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judges:
@@ -21,7 +25,7 @@ class Judges:
     flights: Dataset
     adapt: float | None = None
     seed: int = 0
-    _known: dict[tuple[IdentifiedModel, bool], HeldOutErrors | None] = field(default_factory=dict)
+    _known: _Known = field(default_factory=weakref.WeakKeyDictionary)
 
     @property
     def samples(self) -> int:
@@ -30,13 +34,14 @@ class Judges:
 
     def errors(self, model: IdentifiedModel, *, unnamed: bool = False) -> HeldOutErrors | None:
         """Ahead, as `predict_ahead` gives them, once; None where the model predicts nothing."""
-        if (model, unnamed) not in self._known:
+        known = self._known.setdefault(model, {})
+        if unnamed not in known:
             found = None
             with contextlib.suppress(GreyboxError):
                 adapt = self.adapt or 0.0
                 found = predict_ahead(model, self.flights, adapt=adapt, unnamed=unnamed)
-            self._known[model, unnamed] = found
-        return self._known[model, unnamed]
+            known[unnamed] = found
+        return known[unnamed]
 
     def judged(self, found: Fit) -> Fit:
         """A fit with their verdict, where they can tell."""

@@ -61,7 +61,7 @@ def stretches(values: Sequence[npt.ArrayLike] | npt.ArrayLike, *, what: str) -> 
 
 def names_for(names: Sequence[str] | None, width: int, *, what: str) -> tuple[str, ...]:
     """The given names, checked against the number of columns; numbered names where none are
-    given."""
+    given. Raises `DataError`."""
     if names is None:
         return tuple(f"{what}{i + 1}" for i in range(width))
     if len(names) != width:

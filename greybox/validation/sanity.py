@@ -229,10 +229,10 @@ def _beyond(estimates: Estimates, declared: Iterable[Parameter]) -> Iterator[Ins
     errors."""
     for d in declared:
         e = estimates.get(d.name)
-        if e is None or d.null is None:
+        if e is None:
             continue
         error = e.std if math.isfinite(e.std) else 0.0
-        if abs(e.value - d.null) - LIMITS["errors"].value * error > d.possible:
+        if d.excess(e.value) > LIMITS["errors"].value * error:
             yield Insane(
                 severity="impossible",
                 kind="value",
@@ -285,14 +285,13 @@ def impossible(found: Fit, effect: str) -> str:
     bent: set[str] = set()
     for number, e in found.of_effect(effect).items():
         d = declared[number]
-        null = d.nominal if d.null is None else d.null
         for value in [v for v, _ in e.per_flight.values()] or [e.value]:
-            if abs(value - null) > d.possible:
+            if d.excess(value) > 0:
                 size = f"{value:.3g} {e.unit}".rstrip()
                 beyond = f"{number} = {size}, and no craft has more than {d.possible:.3g}"
                 why = "a fault of the data (axes, frames, units) is likelier; run greybox check"
                 return f"{beyond}: {why}"
-            if e.at_bound and value != null:
+            if e.at_bound and value != (d.nominal if d.null is None else d.null):
                 bent.add(number)
     return f"{', '.join(sorted(bent))} ran to a bound: it stands in for something else" * bool(bent)
 

@@ -26,7 +26,7 @@ from greybox.files import to_plain
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
-from greybox.report.mpc_documents import Crossing, FlightRow, Scores
+from greybox.report.mpc_documents import CELL, Crossing, FlightRow, Scores
 from greybox.symbolic import FloatArray
 from mpc_export.adaptation import flight_parameters
 from mpc_export.feedback import Weights
@@ -44,8 +44,6 @@ ANCILLARY = 64.0
 """Weight on position of the gain inside the tube; eight times the plan's keeps the tube narrow
 (docs/tube_mpc.md)."""
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
-CELL = 0.1
-"""A row keeps the least distance to a limit in cells of this length [s]."""
 CRASH = 100.0
 """Cost of a flight that ends in a crash, per second."""
 REACH = 0.15
@@ -474,7 +472,7 @@ def _scores(flown: _Flown, pilot: Pilot, task: Mission, reference: SampledPath) 
         "event_kinds": dict(Counter(e.what for e in pilot.events)),
         "descended": bool(pilot.descending),
         "nearest": _cells(times, np.min(list(away.values()), axis=0)),
-        "crossings": _crossings(times, path, away),
+        "crossings": _crossings(times, away),
     }
 
 
@@ -521,7 +519,7 @@ def _cells(times: FloatArray, nearest: FloatArray) -> list[float]:
     return [round(float(v), 4) if np.isfinite(v) else math.nan for v in least]
 
 
-def _crossings(times: FloatArray, path: FloatArray, away: dict[str, FloatArray]) -> list[Crossing]:
+def _crossings(times: FloatArray, away: dict[str, FloatArray]) -> list[Crossing]:
     found: list[Crossing] = []
     for name, margin in away.items():
         k = int(np.argmin(margin))

@@ -152,7 +152,8 @@ def load(
 
 
 def sparsity(port: Tape) -> ca.Sparsity:
-    """casadi.Sparsity of {rows, columns} (dense) or {rows, columns, colind, row}."""
+    """casadi.Sparsity of {rows, columns} (dense) or {rows, columns, colind, row}. Raises `ValueError`
+    for more than LARGEST entries."""
     if not (0 <= port["rows"] <= LARGEST and 0 <= port["columns"] <= LARGEST):
         raise ValueError(f"a matrix of {port['rows']} x {port['columns']}")
     if "colind" not in port:

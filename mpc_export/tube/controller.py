@@ -22,8 +22,8 @@ What may go wrong, and what is done; `events` says what happened when:
   the measurements far better (rival.py);
 - a plane or the tilt is beyond what the plan holds: it is soft, and passed as little as may be;
 - a run-time parameter is not told, or cannot be: it follows the push along the thrust (told.py);
-- calls do not come: the filter predicts over the gap. A clock that jumps back or by more than LATE
-  is not followed: one sample has passed;
+- calls do not come: the filter predicts over the gap. A clock that jumps is not followed
+  (clock.py);
 - flying on is not possible: a descent is declared (descent.py).
 """
 
@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -41,11 +41,12 @@ from greybox.errors import ModelError
 from greybox.frames import GRAVITY, numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
-from mpc_export.adaptation import flight_parameters
+from mpc_export.adaptation import flight_parameters, with_flight_spread
 from mpc_export.c_code import CKernel
 from mpc_export.feedback import NEAR
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.standing import integrating
+from mpc_export.tube.clock import Clock
 from mpc_export.tube.correlation import innovations
 from mpc_export.tube.descent import AWAY, HELD, SLOW, UNSURE, Descent, Watch, Way
 from mpc_export.tube.estimator import Estimator, flight_filter, number
@@ -55,11 +56,6 @@ from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
 from mpc_export.tube.told import told
 
-LATE = 0.25
-"""A longer pause between two calls is a fault of the clock [s]."""
-EARLY = 0.25
-"""A call counts for another sample when it comes no more than this share of one too early for
-it."""
 FAILURES = 3
 """So many failed solutions in a row, and the next starts anew."""
 NEAR_STEADY = 1e-6
@@ -177,7 +173,7 @@ class TubeController:
                 raise ModelError(
                     "adapt: memory is a time in seconds, 0 for ever", got=f"{self.memory:g} s"
                 )
-            model = _uncertain(model, self.adapt)
+            model = with_flight_spread(model, self.adapt)
         self.functions: ModelFunctions = model_functions(
             model,
             dt=self.problem.dt,
@@ -265,8 +261,7 @@ class TubeController:
         self.descent: Descent | None = None
         self.events.clear()
         self._watch = Watch()
-        self._told: float | None = None
-        self._ahead = self._phase = 0.0
+        self._clock = Clock(step=self.model.sample_time, note=self._note)
         self._first: float | None = None
         self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
@@ -317,9 +312,8 @@ class TubeController:
             return self._sample(number(time), measured or {})
 
     def _sample(self, time: float, measured: Mapping[str, float | None]) -> FloatArray:
-        passed = self._passed(time)
-        assert self._told is not None
-        time = self._told - self._ahead
+        passed = self._clock.passed(time)
+        time = self._clock.now
         nothing: dict[str, float | None] = {}
         for k in range(passed - 1, 0, -1):
             self.estimator.sees(time - k * self.model.sample_time, nothing, self.u, called=False)
@@ -350,31 +344,6 @@ class TubeController:
         problem = self.problem
         inside = np.clip(u, problem.command_min, problem.command_max)
         return np.asarray(np.clip(inside, before - problem.rate_max, before + problem.rate_max))
-
-    def _passed(self, time: float) -> int:
-        """Samples since the call before: 1, more where calls did not come. A clock that jumps is
-        put right."""
-        step = self.model.sample_time
-        if self._told is None:
-            self._told = time - step if math.isfinite(time) else 0.0
-        gone = time - self._told
-        if not -1e-9 <= gone <= LATE:
-            if math.isfinite(gone):
-                self._ahead += gone - step
-                self._told = time
-            else:
-                self._told += step
-            self._phase = 0.0
-            self._note(self._told - self._ahead, "the clock jumps")
-            return 1
-        self._told = time
-        # early and late calls even out: what is left of a sample counts at the next call
-        self._phase += gone / step
-        passed = max(1, int(self._phase + EARLY))
-        self._phase = min(max(self._phase - passed, -1.0), 1.0)
-        if passed > 1:
-            self._note(time - self._ahead, "calls did not come")
-        return passed
 
     def _note(self, time: float, what: str) -> None:
         self.events.append(Event(time=time, what=what))
@@ -623,36 +592,6 @@ class TubeController:
 def near_heading(problem: TubeProblem) -> float:
     """Error of the heading that weighs as much as UNSURE in the place [rad]."""
     return min(UNSURE * problem.weights.position / max(problem.weights.yaw, ROUNDING), math.pi)
-
-
-def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> IdentifiedModel:
-    """The model with these standard deviations of parameters from flight to flight. Raises
-    `ModelError`."""
-    for name, sigma in spread.items():
-        if name not in model.values:
-            raise ModelError(
-                f"adapt: the model has no parameter {name}",
-                expected=", ".join(sorted(model.values)),
-            )
-        if not (math.isfinite(sigma) and sigma > 0):
-            raise ModelError(
-                f"adapt: {name} needs a standard deviation above zero", got=f"{sigma:g}"
-            )
-    # what they are off by is learned with them, and no error of the others any more
-    covariance, names = model.covariance.copy(), model.covariance_names
-    for name in spread:
-        sigma, by = model.considered.get(name, (0.0, {}))
-        moves = np.array([by.get(n, 0.0) for n in names])
-        covariance -= sigma**2 * np.outer(moves, moves)
-    return replace(
-        model,
-        covariance=covariance,
-        flight_spread={
-            **model.flight_spread,
-            **{n: (model.values[n], s) for n, s in spread.items()},
-        },
-        considered={n: v for n, v in model.considered.items() if n not in spread},
-    )
 
 
 def _tilted(up: npt.NDArray[np.float64], yaw: float) -> FloatArray:

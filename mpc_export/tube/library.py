@@ -25,6 +25,7 @@ from mpc_export.c_text import broken
 from mpc_export.feedback import NEAR
 from mpc_export.template import filled, places_in
 from mpc_export.tube import linear as linear_library
+from mpc_export.tube.clock import EARLY, LATE
 from mpc_export.tube.controller import (
     FAILURES,
     NEAR_STEADY,
@@ -181,6 +182,8 @@ def _sizes(pilot: TubeController) -> Words:
         "sensors": len(pilot.estimator.gate.sensors),
         "lags": len(pilot.past) + 1,
         "sample": pilot.model.sample_time,
+        "late": LATE,
+        "early": EARLY,
         "dt": problem.dt,
         "every": pilot.every,
         "horizon": problem.horizon,

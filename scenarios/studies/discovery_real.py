@@ -37,7 +37,8 @@ from greybox.examples import (
     vehicle_path,
 )
 from greybox.files import write_json
-from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
+from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.model.vehicle_parts import Quantity
 from greybox.report.discover_report import discover_report
 
 HORIZONS = (0.0, 0.1, 0.5)

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from greybox.baselines.filter_predictor import FilterPredictor
 from greybox.baselines.linear_predictor import LinearPredictor
-from greybox.baselines.narx import search_narx
 from greybox.data.segment import Segment
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.fit import Fit, fit
@@ -248,7 +247,7 @@ def nonlinear(bench: Bench) -> Outcome:
 
 def lstm(bench: Bench) -> Outcome:
     """LSTM alone."""
-    from greybox.baselines.lstm_train import search_lstm
+    from scenarios.studies.paper_search import search_lstm
 
     began = time.process_time()
     found = [
@@ -269,6 +268,8 @@ def lstm(bench: Bench) -> Outcome:
 
 def gp_narx(bench: Bench) -> Outcome:
     """GP alone, on past samples."""
+    from scenarios.studies.paper_search import search_narx
+
     began = time.process_time()
     found = [
         search_narx(

@@ -31,9 +31,9 @@ from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.tube.controller import TubeController
-from mpc_export.tube.ipopt import IpoptSolver, Setting
 from mpc_export.tube.stages import block
 from scenarios.studies.tube_flights import PROBLEM, controller, flight
+from scenarios.studies.tube_ipopt import IpoptSolver, Setting
 from scenarios.studies.tube_mpc import models
 
 Array = NDArray[np.float64]

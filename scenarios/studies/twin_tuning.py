@@ -25,7 +25,8 @@ import numpy as np
 
 from greybox.files import read_json, write_json
 from greybox.model.identified import IdentifiedModel
-from greybox.model.vehicle import Quantity, read_vehicle
+from greybox.model.vehicle import read_vehicle
+from greybox.model.vehicle_parts import Quantity
 from greybox.residual.files import load_model
 from greybox.simulators.coverage import BOX
 from greybox.simulators.craft import Craft

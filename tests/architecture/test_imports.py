@@ -289,10 +289,9 @@ def test_every_room_of_the_package_has_its_place_in_the_order():
     assert here - front <= set(LEVEL), "say in this test where the new room stands"
 
 
-def test_the_vehicle_file_module_holds_only_plain_numbers():
-    path = ROOT / "greybox" / "model" / "vehicle.py"
-    if not path.exists():
-        pytest.skip("greybox.model.vehicle is not there yet")
+@pytest.mark.parametrize("name", ["vehicle", "vehicle_parts", "vehicle_tables"])
+def test_the_vehicle_file_modules_hold_only_plain_numbers(name: str):
+    path = ROOT / "greybox" / "model" / f"{name}.py"
     wrong = [
         say(path, found, "it is used by greybox.data and must stay free of the model")
         for found in imports(path)

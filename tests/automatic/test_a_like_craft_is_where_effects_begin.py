@@ -20,7 +20,8 @@ from greybox.cli import main
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import with_disturbance
 from greybox.model.parameter import nominal_values
-from greybox.model.vehicle import Quantity, Vehicle
+from greybox.model.vehicle import Vehicle
+from greybox.model.vehicle_parts import Quantity
 from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
 from tests.automatic.craft import flown, plant, raw, vehicle

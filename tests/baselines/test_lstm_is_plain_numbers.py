@@ -136,27 +136,6 @@ def test_the_same_seed_trains_the_same_network(trained):
     )
 
 
-def test_a_search_keeps_the_best_candidate_and_lists_all(monkeypatch):
-    from greybox.baselines import lstm_train
-
-    monkeypatch.setattr(
-        lstm_train,
-        "SPACE",
-        {
-            "hidden": (4, 8),
-            "learning_rate": (1e-2,),
-            "window": (2,),
-            "dropout": (0.0,),
-            "increments": (False,),
-        },
-    )
-    best = lstm_train.search_lstm(
-        flight(0), flight(1), outputs=("y1", "y2"), inputs=("u",), budget=2, epochs=4
-    )
-    assert len(best.report["search"]) == 2
-    assert best.report["validation"] == min(c["validation"] for c in best.report["search"])
-
-
 def test_it_survives_the_file_bit_by_bit_and_a_changed_file_is_refused(trained, tmp_path):
     path = trained.save(tmp_path / "lstm.json")
     again = LSTMModel.load(path)

@@ -8,10 +8,11 @@ import json
 import numpy as np
 import pytest
 
-from greybox.baselines.narx import NARXModel, fit_narx, search_narx
+from greybox.baselines.narx import NARXModel, fit_narx
 from greybox.baselines.regressors import Lags
 from greybox.data import dataset_from_arrays
-from greybox.errors import DataError, FileFormatError, ModelError
+from greybox.errors import FileFormatError, ModelError
+from greybox.files import checksum
 
 pytest.importorskip("gpytorch")
 
@@ -122,19 +123,15 @@ def test_it_survives_the_file_bit_by_bit_and_a_changed_file_is_refused(trained, 
         NARXModel.load(path)
 
 
-def test_a_search_keeps_the_best_candidate(monkeypatch):
-    from greybox.baselines import narx
-
-    monkeypatch.setattr(
-        narx, "SPACE", {"lags": (1, 2), "kernel": ("se",), "increments": (False,), "points": (20,)}
-    )
-    best = search_narx(flight(0), flight(1), outputs=OUTPUTS, inputs=INPUTS, budget=2)
-    tried = best.report["search"]
-    assert len(tried) == 2
-    chosen = min(tried, key=lambda c: c["validation"])
-    assert best.lags.n_a == chosen["lags"]
-    with pytest.raises(DataError, match="at least 1"):
-        search_narx(flight(0), flight(1), outputs=OUTPUTS, inputs=INPUTS, budget=0)
+@pytest.mark.parametrize("wrong", [{"train_seconds": "long"}, {"lags": []}, {"posterior": 1.0}])
+def test_a_file_that_fits_its_checksum_and_nothing_else_is_refused(trained, tmp_path, wrong):
+    """Whoever made the file made its checksum, too."""
+    path = trained.save(tmp_path / "narx.json")
+    body = json.loads(path.read_text()) | wrong
+    del body["checksum"]
+    path.write_text(json.dumps(body | {"checksum": checksum(body)}))
+    with pytest.raises(FileFormatError, match="incomplete or wrong"):
+        NARXModel.load(path)
 
 
 def test_a_gp_over_other_inputs_is_refused(trained):

@@ -156,7 +156,7 @@ def test_the_plain_fit_takes_late_speeds_of_a_wrong_scale_as_they_are(
 def test_a_vehicle_that_knows_its_lag_may_still_be_driven_by_measured_speed() -> None:
     from dataclasses import replace
 
-    from greybox.model.vehicle import Quantity
+    from greybox.model.vehicle_parts import Quantity
 
     known = replace(vehicle(), effects={"motor_lag": {"tau": Quantity(value=0.05)}})
     columns = ["p", "q", "r", "omega1", "omega2", "omega3", "omega4"]

@@ -85,7 +85,11 @@ BAD = {
     "bad sample time": ("physics.json", ["--dt", "-1"], "--dt"),
     "discrete at another rate": ("linear.json", ["--dt", "0.5"], "discrete"),
     "no learned part": ("physics.json", ["--points", "10"], "learned part"),
-    "no points": ("hybrid.json", ["--points", "0"], "points takes a whole number above zero"),
+    "no points": (
+        "hybrid.json",
+        ["--points", "0"],
+        "--points; expected 1 support point or more; got 0",
+    ),
     "weights without a learned part": ("physics.json", ["--runtime", "gp.weights"], "gp.weights"),
 }
 

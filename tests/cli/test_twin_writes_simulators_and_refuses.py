@@ -170,8 +170,11 @@ def test_a_layout_that_a_target_cannot_express_is_refused_by_name_and_noted_othe
     extra += "\n[[rotor]]\nposition = [0.0, -0.2, 0.0]\nspin = 1\n"
     vehicle.write_text(vehicle.read_text().replace("\n[actuator]", extra + "\n[actuator]"))
     out = ["--even-so", "--out", str(tmp_path / "t")]
-    assert main(["twin", str(vehicle), "--target", target, *out]) == 2
-    assert "four rotors" in (said := capsys.readouterr().err) or "6" in said
+    assert main(["twin", str(vehicle), "--target", f"numpy,{target}", *out]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"nothing is written, no files for {target}: " in said
+    assert "four rotors" in said or "6" in said
+    assert "Usual fix: choose a target that takes any layout" in said
     assert not (tmp_path / "t").exists()
     if target == "px4":  # all targets once: the others are written
         assert main(["twin", str(vehicle), *out]) == 0

@@ -21,7 +21,8 @@ from greybox.errors import GreyboxError
 from greybox.examples import vehicle_path
 from greybox.files import dump_json
 from greybox.model.plausibility import check_vehicle, vehicle_findings
-from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
+from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.model.vehicle_parts import Quantity
 from greybox.model.vehicle_template import TEMPLATES, template_text, vehicle_text
 
 SCHEMA = json.loads(files("greybox").joinpath("schemas/vehicle_check.json").read_text())

@@ -23,7 +23,7 @@ from greybox.errors import ModelError
 from greybox.model.effects import effect_by_name
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
-from greybox.model.vehicle import Rotor
+from greybox.model.vehicle_parts import Rotor
 
 SIX = tuple(
     Rotor(position=(0.12 * np.cos(a), 0.12 * np.sin(a), 0.01), spin=1 if k % 2 else -1)

@@ -17,7 +17,7 @@ from greybox.model.clock import CLOCKS
 from greybox.model.effect import Flow
 from greybox.model.sensors import SENSORS
 from greybox.model.state_blocks import BLOCKS
-from greybox.model.vehicle import NOISES
+from greybox.model.vehicle_tables import NOISES
 
 every_sensor = pytest.mark.parametrize("sensor", [pytest.param(s, id=s.name) for s in SENSORS])
 

@@ -17,7 +17,7 @@ from greybox.data.conditioning import condition
 from greybox.data.fitness import unfit
 from greybox.errors import DataError, ModelError
 from greybox.model.model import input_of
-from greybox.model.vehicle import Quantity
+from greybox.model.vehicle_parts import Quantity
 from tests.automatic.craft import flown, vehicle
 
 SEED, SECONDS = (7,), 12.0

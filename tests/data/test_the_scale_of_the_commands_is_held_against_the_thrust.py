@@ -13,7 +13,8 @@ from greybox.data.checks import check
 from greybox.data.readers.mapping import mapping_of
 from greybox.examples import SETS, flight_paths
 from greybox.excitation import FigureEight, rich_excitation
-from greybox.model.vehicle import Quantity, read_vehicle
+from greybox.model.vehicle import read_vehicle
+from greybox.model.vehicle_parts import Quantity
 from greybox.plants.effects import MotorLag
 from greybox.plants.flight_log import fly, write_log
 from greybox.plants.presets import controller_for, nano, x250

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import greybox.residual.laws.responses
 from greybox.discovery.left import _raced
 from greybox.discovery.rules import RULES
 from greybox.estimation.filtering import Filter
@@ -22,7 +21,7 @@ from greybox.residual.laws.axis import Axis
 from greybox.residual.laws.bends import Bends
 from greybox.residual.laws.found import is_law, laws_of
 from greybox.residual.laws.normal_equations import Normal, solve
-from greybox.residual.laws.responses import Library, _rows, noise_scales, responses, stretches
+from greybox.residual.laws.responses import Library, Pushed, noise_scales, responses, stretches
 from greybox.residual.laws.selection import forward, left_out, select
 from greybox.residual.laws.terms import terms
 from tests.discovery.small_world import damped, flown, law_of, vehicle
@@ -225,7 +224,8 @@ def test_what_a_number_of_the_fit_does_is_in_every_law_from_the_start():
     lin, place = Linearisation(model.dynamics, ()), model.dynamics.noises["torque.x"]
     parts = [slice(0, segment.n // 2), slice(segment.n // 2, segment.n)]
     bends, pushes = Bends.of(model.dynamics, found.parameters), np.ones((segment.n, 1))
-    blocks = responses(runner, lin, run, pushes, [place], parts, bends)
+    pushed = Pushed(runner=runner, lin=lin, run=run, pushes=pushes, places=[place], bends=bends)
+    blocks = responses(pushed, parts)
     # The gain depends on it, too, a little; that is left out.
     assert sum(b.xx[0][-1, -1] for b in blocks) == pytest.approx(expected, rel=1e-2)
 
@@ -255,7 +255,8 @@ def test_responses_are_what_a_force_does_to_the_innovations():
         change = np.einsum("nij,nj->ni", white, less.innovations - run.innovations)
         # The change on the sum of the three columns is a regression with coefficient one.
         moved_run = replace(run, innovations=less.innovations - run.innovations)
-        (pushed,) = responses(runner, lin, moved_run, pushes, places, [slice(0, segment.n)])
+        given = Pushed(runner=runner, lin=lin, run=moved_run, pushes=pushes, places=places)
+        (pushed,) = responses(given, [slice(0, segment.n)])
         xx, xy, yy = pushed.xx[0].sum(), pushed.xy[0].sum(), pushed.yy[0]
         assert yy == pytest.approx((change**2).sum(), rel=1e-9)
         assert yy > 1e-3
@@ -271,7 +272,8 @@ def test_channels_are_weighed_by_what_a_steady_push_leaves_of_them():
     runner, lin = Filter(model), Linearisation(model.dynamics, ())
     run, place = runner.run(segment), [model.dynamics.noises["force.z"]]
     bends, n = Bends.of(model.dynamics, {}), segment.n
-    rows = _rows(runner, lin, run, np.ones((n, 1)), place, [slice(0, n)], None)
+    given = Pushed(runner=runner, lin=lin, run=run, pushes=np.ones((n, 1)), places=place)
+    rows = given.rows([slice(0, n)])
     pushed = np.concatenate([out[:, :, 0] for _, _, out, _ in rows])
     deviations = np.sqrt(np.diagonal(run.covariance, axis1=1, axis2=2))[run.gains.pattern]
     noise = 0.1 * deviations * np.random.default_rng(0).standard_normal(deviations.shape)
@@ -307,7 +309,7 @@ class _Readings:
 
     def scales(self, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
         rows = [(0, np.arange(len(self.there)), self.out, self.target)]
-        monkeypatch.setattr(greybox.residual.laws.responses, "_rows", lambda *_: iter(rows))
+        monkeypatch.setattr(Pushed, "rows", lambda *_: iter(rows))
         gains = SimpleNamespace(there=self.there)
         run: Any = SimpleNamespace(
             innovations=self.target, covariance=np.tile(np.eye(2), (400, 1, 1)), gains=gains

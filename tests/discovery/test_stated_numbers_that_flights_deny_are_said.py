@@ -9,7 +9,8 @@ import pytest
 
 from greybox.discovery.cause import offer
 from greybox.discovery.workflow import discover
-from greybox.model.vehicle import Quantity, Vehicle
+from greybox.model.vehicle import Vehicle
+from greybox.model.vehicle_parts import Quantity
 from greybox.plants.effects import CenterOfMassOffset
 from tests.discovery import small_world
 from tests.discovery.small_world import shorten, vehicle

@@ -27,7 +27,8 @@ from greybox.estimation.solvers import SOLVERS
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.body import is_possible, margins
 from greybox.model.model import build_model
-from greybox.model.vehicle import EXACT_SCHEMA, Vehicle, read_vehicle
+from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.model.vehicle_parts import EXACT_SCHEMA
 from greybox.plants.vehicle_file import write_vehicle
 from tests.simulated import flights, plant
 

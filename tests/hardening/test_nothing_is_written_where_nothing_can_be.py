@@ -39,7 +39,6 @@ WRITERS = {
     "mpc_export/c_code.py": "the same",
     "mpc_export/c_model.py": "the same",
     "mpc_export/fmu.py": "the same",
-    "mpc_export/cortex.py": "a temporary folder",
     "mpc_export/mission/campaign.py": "the folder of --out, which is checked before",
     "mpc_export/tube/solver.py": "the cache of compiled controllers",
 }

@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from greybox.model.vehicle import Rotor, Vehicle
+from greybox.model.vehicle import Vehicle
+from greybox.model.vehicle_parts import Rotor
 
 
 def _rotors(change: Callable[[Sequence[Rotor]], Sequence[Rotor]]) -> Callable[[Vehicle], Vehicle]:

@@ -107,7 +107,7 @@ def test_measured_speeds_drive_the_rotors_as_commands_would():
 
 
 def test_values_in_the_vehicle_file_become_nominal_and_misspelt_ones_are_an_error():
-    from greybox.model.vehicle import Quantity
+    from greybox.model.vehicle_parts import Quantity
 
     vehicle = replace(
         vehicle_of(X250), effects={"motor_lag": {"tau": Quantity(value=0.031, sigma=0.004)}}

@@ -17,7 +17,7 @@ from greybox.model.effect_check import check_effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.effects_file import effects_of, load_effects, own_effects
 from greybox.model.model import PhysicsModel, build_model
-from greybox.model.vehicle import Quantity
+from greybox.model.vehicle_parts import Quantity
 
 GOOD = """
 import casadi as ca

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from greybox.errors import GreyboxError, VehicleError
 from greybox.examples import SETS, vehicle_path
 from greybox.model.plausibility import vehicle_findings
-from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
+from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.model.vehicle_parts import Quantity
 
 PLAIN = {
     "schema": "greybox.vehicle/1",

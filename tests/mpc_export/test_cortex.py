@@ -11,15 +11,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from benchmarks import cortex
+from benchmarks.variational import derivative, rk4
 from greybox.errors import ModelError
 from greybox.model.parameter import nominal_values
 from greybox.residual.hybrid import HybridModel
-from mpc_export import cortex
 from mpc_export.bundle import write_bundle
 from mpc_export.c_code import CSource, write_c
 from mpc_export.c_kernels import GPKernel
 from mpc_export.functions import model_functions
-from mpc_export.variational import derivative, rk4
 from tests.mpc_export import cases
 from tests.mpc_export.test_c_code_gp import posterior
 from tests.residual.hybrid_cases import craft, push

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mpc_export.adaptation import with_flight_spread
 from mpc_export.functions import model_functions
 from mpc_export.noise import parameter_covariance
-from mpc_export.tube.controller import _uncertain
 from tests.mpc_export import cases
 
 SIGMA = 0.1
@@ -43,7 +43,7 @@ def test_lift_over_weight_is_known_as_well_as_the_flights_know_it(model):
 
 
 def test_what_is_learned_in_flight_is_no_error_of_the_others(model):
-    aware = _uncertain(model, {"mass": 0.05 * model.values["mass"]})
+    aware = with_flight_spread(model, {"mass": 0.05 * model.values["mass"]})
     names, covariance = parameter_covariance(aware)
     assert names == ("thrust.c2",)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(1e-3 * model.values["thrust.c2"])

@@ -11,10 +11,12 @@ import pytest
 
 from greybox.cli import main
 from greybox.errors import ModelError, UnknownNameError
+from greybox.model.noise import KINDS, part_named
 from greybox.residual.files import save_model
 from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.exported import load, of
 from mpc_export.functions import model_functions
+from mpc_export.hover import FREE
 from mpc_export.options import ExportOptions
 from mpc_export.targets import COMMON, CONSUMERS
 from tests.mpc_export import cases, consumers
@@ -152,3 +154,9 @@ def test_the_command_line_writes_runnable_scripts(tmp_path):
     ]
     assert (out / "fmu" / "craft.fmu").is_file()
     assert (out / "LICENSES" / "CasADi-MIT-0.txt").is_file()
+
+
+def test_the_hover_problem_steers_no_noise_of_any_kind():
+    """hover.py runs without greybox, so that it has the kinds by name."""
+    names = {part_named(f"{kind.kind}.force").name for kind in KINDS}
+    assert all(name.startswith(FREE) for name in names)

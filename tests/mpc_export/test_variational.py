@@ -11,13 +11,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from benchmarks.variational import derivative, rk4
 from greybox.errors import ModelError
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import nominal_values
 from greybox.residual.hybrid import HybridModel
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import GPKernel
-from mpc_export.variational import derivative, rk4
 from tests.residual.hybrid_cases import craft, push
 
 

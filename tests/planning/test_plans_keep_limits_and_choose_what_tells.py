@@ -4,6 +4,7 @@ will not know."""
 from __future__ import annotations
 
 import itertools
+import re
 import tomllib
 
 import numpy as np
@@ -18,7 +19,8 @@ from greybox.planning import plan
 from greybox.planning.excitation_blocks import excitation_blocks, fit_in
 from greybox.planning.information import Information, Score, choose, errors, information
 from greybox.planning.limits import Limits
-from greybox.planning.options import left_over
+from greybox.planning.options import demand_lengths, left_over
+from greybox.planning.own_plan import LONGEST_SAMPLES
 from greybox.planning.planning_case import planning_case
 from greybox.planning.setpoints import csv, setpoints
 
@@ -249,6 +251,32 @@ def test_an_effect_of_ones_own_is_planned_for_as_it_is():
     own = effect_by_name("rotor_drag")
     with pytest.raises(GreyboxError, match="too short a flight"):
         plan(vehicle(), effects=[own], seconds=1.0)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "words"),
+    [
+        ({"seconds": 4.0}, "--piece is longer than --seconds; expected 2 s <= --piece"),
+        ({"seconds": 20.0, "piece": 1.0}, "too short a --piece"),
+        ({"seconds": 1.0, "piece": 1.0}, "too short a flight"),
+        ({"seconds": 3601.0}, "too long a flight"),
+    ],
+)
+def test_which_of_two_lengths_is_wrong_is_said(lengths, words):
+    """A flight of 4 s was called too short where its pieces of 5 s were too long for it."""
+    with pytest.raises(GreyboxError) as caught:
+        plan(vehicle(), effects=["rotor_drag"], **lengths)
+    assert str(caught.value).startswith(words)
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 0.01, 1.0, 60.0])
+def test_the_lengths_that_are_proposed_are_taken(step):
+    """A model with a step of 1 s was told to ask for 5 s, which are 5 samples."""
+    ends = {"shortest": (20 * step, "20 samples"), "longest": LONGEST_SAMPLES * step}
+    with pytest.raises(GreyboxError) as caught:
+        demand_lengths("an experiment", 1e9, 5.0, **ends)
+    seconds, piece = re.findall(r"Usual fix: --seconds (\S+) --piece (\S+)", str(caught.value))[0]
+    demand_lengths("an experiment", float(seconds), float(piece), **ends)
 
 
 def test_limits_without_room_are_refused():

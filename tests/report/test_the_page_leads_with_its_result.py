@@ -44,6 +44,16 @@ def test_the_result_comes_first_and_the_settings_last(page: str):
     assert places == sorted(places)
 
 
+@pytest.mark.parametrize("noise", ["coloured.position.T", "low_pass.gyro.T", "disturbance.force.T"])
+def test_a_time_of_noise_at_its_bound_asks_for_nothing(noise: str):
+    """Such a page advised to leave the effect out: there is none."""
+    fit = make_fit()
+    fit["settings"]["noise_parts"] = ["coloured.position", "low_pass.gyro"]
+    fit["parameters"][noise] = fit["parameters"]["command_delay.d"]
+    said = re.findall(r"<li>At a bound: (.*?)\. ", fit_report(fit, {}, make_validation()))
+    assert said == ["command_delay.d", "command_delay.d"]
+
+
 def test_rotation_is_in_degrees_by_the_numbers(page: str):
     fit, validation = make_fit(), make_validation()
     error = validation["horizons"][2]["groups"]["rotation"]

@@ -13,7 +13,8 @@ from greybox.estimation.conclusion import _bound_warnings
 from greybox.estimation.fit import Estimate, fit, noise_of
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
-from greybox.model.vehicle import Quantity, Vehicle
+from greybox.model.vehicle import Vehicle
+from greybox.model.vehicle_parts import Quantity
 from greybox.model.verdict import Outcome, Verdict
 from greybox.validation.advice import Hint, Symptom, hints_of_fit, hints_of_model, likely
 from greybox.validation.sanity import ADVICE, LIMITS, sanity, sanity_of, sanity_of_model, untried

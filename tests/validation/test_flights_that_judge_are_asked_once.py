@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import gc
+import weakref
+from typing import Any, cast
 
 import pytest
 
@@ -12,7 +14,12 @@ from greybox.validation.gap import HeldOutErrors
 from greybox.validation.judges import Judges
 from tests.automatic.craft import flights
 
-MODEL: Any = object()
+
+class _Model:
+    """Any model."""
+
+
+MODEL: Any = _Model()
 
 
 @pytest.fixture
@@ -35,6 +42,16 @@ def test_once_with_what_has_no_name_and_once_without(asked, adapt, seconds):
     assert judges.errors(MODEL) is judges.errors(MODEL) is not None
     assert judges.errors(MODEL, unnamed=True) is judges.errors(MODEL, unnamed=True) is None
     assert asked == [(seconds, False), (seconds, True)]
+
+
+def test_errors_of_a_model_that_nobody_has_are_not_kept(asked):
+    """A race fits a model without every effect: its errors were kept to the end of a search."""
+    judges, model = Judges(flights=flights()), cast(Any, _Model())
+    errors = weakref.ref(judges.errors(model))
+    assert errors() is judges.errors(model)
+    del model
+    gc.collect()
+    assert errors() is None
 
 
 def test_there_is_no_gap_where_one_of_two_foretells_nothing():

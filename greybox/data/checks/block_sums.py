@@ -9,6 +9,9 @@ import numpy as np
 
 from greybox.symbolic import FloatArray
 
+BLOCKS = 8
+"""Blocks of time into which a flight is cut, and which are left out one by one."""
+
 
 class BlockSums:
     """A dataclass of arrays alone, each with its blocks along `block_axis`."""

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import command_names, group_names
+from greybox.data.checks.block_sums import BLOCKS
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged, per_flight
 from greybox.data.checks.rates import HALF_WINDOW
 from greybox.data.checks.relations import CLEAR, jackknife
@@ -28,8 +29,6 @@ PAST = 3
 """Commands before that of an interval which still act in it."""
 FEWEST = 60
 """Fewer intervals than this tell nothing."""
-BLOCKS = 8
-"""Blocks of time that are left out one by one."""
 ITSELF = 0.05
 """A weight of the next command that is below this is none."""
 IMU = ("rate", "specific_force")

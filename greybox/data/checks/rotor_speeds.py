@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.data.checks.block_sums import BlockSums
+from greybox.data.checks.block_sums import BLOCKS, BlockSums
 from greybox.data.checks.finding import Check, Finding, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, SEEN, jackknife
 from greybox.data.checks.signals import bridged, peak, products, shifted, smoothed
@@ -26,8 +26,6 @@ SLOW = 1.0
 """... less those over twice this time: a rotor that is weaker than the others is none of them."""
 LAGS = (-0.05, 0.2)
 """Lags from command to speed that are looked for [s]."""
-BLOCKS = 8
-"""Blocks of time into which a flight is cut."""
 FEWEST = 200
 """Fewer samples judge nothing."""
 

@@ -19,7 +19,7 @@ from typing import ClassVar
 import numpy as np
 
 from greybox.data.airframe import Airframe, ThrustMap, Weighed, WithEffects
-from greybox.data.checks.block_sums import BlockSums
+from greybox.data.checks.block_sums import BLOCKS, BlockSums
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, SEEN, jackknife
 from greybox.data.checks.signals import best_lag, bridged, peak, shifted, smoothed
@@ -45,8 +45,6 @@ UNIT = 10.0
 LEVEL = 0.15
 """Standard deviation of the log of thrust over what any file says: air, battery, ground, a rotor
 that is weaker than the others."""
-BLOCKS = 8
-"""Blocks of time into which a flight is cut."""
 FEWEST = 200
 """Fewer samples judge nothing."""
 NEVER = 50.0

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from greybox.data.checks.block_sums import BlockSums
+from greybox.data.checks.block_sums import BLOCKS, BlockSums
 from greybox.data.checks.rates import body_rates, lateral_force, shown_by, windows
 from greybox.data.checks.signals import derivative, joined_up, peak, shifted, smoothed
 from greybox.data.checks.view import FloatArray, View
@@ -52,8 +52,6 @@ LEAST = 200
 BY_CHANCE = 2.0
 """What the best lag explains of noise is so many times what one lag does."""
 
-BLOCKS = 8
-"""Blocks of time into which a flight is cut."""
 
 ROUNDED = 1e-10
 """Share of a sum of squares that may be rounding, once nearly all of it was subtracted."""

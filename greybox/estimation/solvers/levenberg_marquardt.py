@@ -26,7 +26,7 @@ PARTS = 3
 SHORT = 0.3
 """Part of a step below which its direction was no good."""
 
-NEAR = 1e-3
+ARRIVED = 1e-3
 """Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a
 standard error. Where the Gauss-Newton Hessian is not the true one, steps creep there for long."""
 
@@ -87,7 +87,7 @@ class LevenbergMarquardt:
             code = search.run(progress)
         except KeyboardInterrupt:
             code = Code.INTERRUPTED
-        if code is Code.MAX_ITERATIONS and search.decrement < min(NEAR, 1e3 * self.tolerance):
+        if code is Code.MAX_ITERATIONS and search.decrement < min(ARRIVED, 1e3 * self.tolerance):
             code = Code.CONVERGED
         decrement = search.decrement
         if code in (Code.MAX_ITERATIONS, Code.BEHIND) and search.value.gradient is not None:
@@ -158,7 +158,7 @@ class _Search:
 
     @property
     def _arrived(self) -> bool:
-        return self.decrement < max(self.rule.tolerance, min(NEAR, 1e3 * self.rule.tolerance))
+        return self.decrement < max(self.rule.tolerance, min(ARRIVED, 1e3 * self.rule.tolerance))
 
     @property
     def _room(self) -> tuple[FloatArray, FloatArray]:
@@ -205,7 +205,7 @@ class _Search:
         if self.decrement < self.rule.tolerance and not plain:
             # Secants do not say alone that the search has arrived.
             plainly = self.plainly()
-            if plainly > max(NEAR, self.rule.tolerance):
+            if plainly > max(ARRIVED, self.rule.tolerance):
                 h, self.decrement, plain = held_to(self._kinks, self.value.hessian), plainly, True
         return g, h, plain
 

@@ -41,7 +41,8 @@ class Delay(SensorPart):
     time: float = 0.0
 
     def parameters(self, core: Dynamics) -> tuple[Parameter, ...]:
-        """d [s], one for all components, from none to one sample."""
+        """d [s], one for all components, from none to one sample. Raises `ModelError` for a model that is
+        no physics."""
         physics = physics_of(core)
         if physics is None:
             raise ModelError(f"{core.name} has no sample time", expected="a physics model")

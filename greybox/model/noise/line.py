@@ -32,7 +32,8 @@ class Line(SensorPart):
     frequency: float = 0.0
 
     def parameters(self, core: Dynamics) -> tuple[Parameter, ...]:
-        """T [s] and f [Hz] up to half the sampling rate, one each for all components."""
+        """T [s] and f [Hz] up to half the sampling rate, one each for all components. Raises `ModelError` for
+        a model that is no physics."""
         physics = physics_of(core)
         if physics is None:
             raise ModelError(f"{core.name} has no sample time", expected="a physics model")

@@ -52,7 +52,7 @@ class Bends:
         self, run: Filtered, part: slice, before: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Sensitivities (n, n_e, len) of the innovations in a part of a filtered segment, and those
-        (n_d, len) of the state after it; `before` it. The gain stays as it is."""
+        (n_d, len) of the state after it; `before` it. The gain stays as it is. Raises `FitError`."""
         samples, around = run.record.samples, self.engine.past + self.engine.future
         seen = self.engine.run(
             x0=run.states[part.start],
@@ -74,7 +74,8 @@ class Bends:
         self, run: Filtered, part: slice, lin: Linearisation, places: Sequence[int]
     ) -> FloatArray:
         """What a change of every number adds to the force and torque whose noise channels are
-        `places`, (n, len(places), len): what moves the state over one step as it does."""
+        `places`, (n, len(places), len): what moves the state over one step as it does. Raises
+        `FitError`."""
         rows = np.arange(part.start, part.stop)
         ones = np.ones(len(rows), dtype=int)
         still = np.zeros((len(rows), self.engine.nd, len(self)))

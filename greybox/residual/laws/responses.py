@@ -103,9 +103,8 @@ def library(
         )
         at += len(own)
         parts = stretches(len(own), len(segments))
-        for part, normal in zip(
-            parts, responses(plain, lin, run, pushes, places, parts, bends, scales), strict=True
-        ):
+        pushed = Pushed(runner=plain, lin=lin, run=run, pushes=pushes, places=places, bends=bends)
+        for part, normal in zip(parts, responses(pushed, parts, scales), strict=True):
             bent = bends.wrenches(run, part, lin, places[len(columns) :])
             x = np.column_stack([pushes[part, : len(columns) + 1], bent.reshape(len(bent), -1)])
             blocks.add(flight, normal, x, own[part].T)
@@ -192,68 +191,68 @@ def _columns(
     return [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pushed:
+    """A segment as the filter saw it (`run`), and what may have acted on it: `pushes` (n, t), each
+    through the noise channel of its place, and `bends` of the model's numbers."""
+
+    runner: Filter
+    lin: Linearisation
+    run: Filtered
+    pushes: FloatArray
+    places: Sequence[int]
+    bends: Bends | None = None
+
+    def rows(
+        self, parts: Sequence[slice]
+    ) -> Iterator[tuple[int, IntArray, FloatArray, FloatArray]]:
+        """Chunk by chunk of `parts` (in order and without gaps) the number of its part, the pattern
+        (k,) of each sample, the responses (k, n_e, t), first to the pushes and then to the bends,
+        and the innovations (k, n_e); zero where there is no reading."""
+        run, lin, places, bends = self.run, self.lin, self.places, self.bends
+        record, width = run.record, sum(self.runner.model.dynamics.window) + 1
+        gain, there = run.gains.tables()[0].gain, run.gains.there
+        d = np.zeros((self.runner.engine.nd, len(places)))
+        bent = np.zeros((self.runner.engine.nd, len(bends) if bends else 0))
+        for number, part in enumerate(parts):
+            slopes = np.zeros((part.stop - part.start, there.shape[1], bent.shape[1]))
+            if bends:
+                slopes, bent = bends.innovations(run, part, bent)
+            for begin in range(part.start, part.stop, CHUNK):
+                rows = range(begin, min(begin + CHUNK, part.stop))
+                pattern = run.gains.pattern[rows.start : rows.stop].astype(np.int64)
+                own = slopes[rows.start - part.start : rows.stop - part.start]
+                unbent = np.zeros((len(rows), there.shape[1], len(places)))
+                out = np.concatenate([unbent, own], axis=2)
+                for j, k in enumerate(rows):
+                    a, g, c, through = lin.values(
+                        run.states[k], record.inputs[k : k + width].T, run.p, record.dt
+                    )
+                    i = pattern[j]
+                    e = (c @ d + through[:, places] * self.pushes[k]) * there[i][:, None]
+                    out[j, :, : len(places)] = e
+                    d = a @ d + g[:, places] * self.pushes[k] - gain[i] @ e
+                known = there[pattern]
+                yield number, pattern, out, run.innovations[rows.start : rows.stop] * known
+
+
 def responses(
-    runner: Filter,
-    lin: Linearisation,
-    run: Filtered,
-    pushes: FloatArray,
-    places: Sequence[int],
-    parts: Sequence[slice],
-    bends: Bends | None = None,
-    scales: FloatArray | float = 1.0,
+    pushed: Pushed, parts: Sequence[slice], scales: FloatArray | float = 1.0
 ) -> Iterator[Normal]:
-    """Normal equations of whitened innovations on whitened responses to `pushes` (n, t), each
-    through the noise channel of its place, and to `bends` of the model's numbers: one block per
-    part of the segment, the parts in order and without gaps. The innovations' standard deviations
-    are those that the filter states times `scales` (n_e,)."""
+    """Normal equations of whitened innovations on whitened responses: one block per part of the
+    segment, the parts in order and without gaps. The innovations' standard deviations are those
+    that the filter states times `scales` (n_e,)."""
+    run = pushed.run
     spread = np.broadcast_to(scales, run.covariance.shape[1:2])
     white = np.linalg.inv(np.linalg.cholesky(run.covariance * spread[:, None] * spread))
-    rows = _rows(runner, lin, run, pushes, places, parts, bends)
 
     def whitened(pattern: IntArray, out: FloatArray, target: FloatArray) -> Normal:
         x = (white[pattern] @ out).reshape(-1, out.shape[2])
         y = (white[pattern] @ target[:, :, None]).ravel()
         return Normal.of([x], [y], [run.record.flight])
 
-    for _, chunks in itertools.groupby(rows, key=lambda chunk: chunk[0]):
+    for _, chunks in itertools.groupby(pushed.rows(parts), key=lambda chunk: chunk[0]):
         yield functools.reduce(operator.add, (whitened(*chunk[1:]) for chunk in chunks))
-
-
-def _rows(
-    runner: Filter,
-    lin: Linearisation,
-    run: Filtered,
-    pushes: FloatArray,
-    places: Sequence[int],
-    parts: Sequence[slice],
-    bends: Bends | None,
-) -> Iterator[tuple[int, IntArray, FloatArray, FloatArray]]:
-    """Chunk by chunk the number of its part, the pattern (k,) of each sample, the responses (k, n_e,
-    t), first to the pushes and then to the bends, and the innovations (k, n_e); zero where there is
-    no reading."""
-    record, width = run.record, sum(runner.model.dynamics.window) + 1
-    gain, there = run.gains.tables()[0].gain, run.gains.there
-    d = np.zeros((runner.engine.nd, len(places)))
-    bent = np.zeros((runner.engine.nd, len(bends) if bends else 0))
-    for number, part in enumerate(parts):
-        slopes = np.zeros((part.stop - part.start, there.shape[1], bent.shape[1]))
-        if bends:
-            slopes, bent = bends.innovations(run, part, bent)
-        for begin in range(part.start, part.stop, CHUNK):
-            rows = range(begin, min(begin + CHUNK, part.stop))
-            pattern = run.gains.pattern[rows.start : rows.stop].astype(np.int64)
-            own = slopes[rows.start - part.start : rows.stop - part.start]
-            out = np.concatenate([np.zeros((len(rows), there.shape[1], len(places))), own], axis=2)
-            for j, k in enumerate(rows):
-                a, g, c, through = lin.values(
-                    run.states[k], record.inputs[k : k + width].T, run.p, record.dt
-                )
-                i = pattern[j]
-                e = (c @ d + through[:, places] * pushes[k]) * there[i][:, None]
-                out[j, :, : len(places)] = e
-                d = a @ d + g[:, places] * pushes[k] - gain[i] @ e
-            known = there[pattern]
-            yield number, pattern, out, run.innovations[rows.start : rows.stop] * known
 
 
 def noise_scales(
@@ -278,7 +277,8 @@ def noise_scales(
     for run in runs:
         n = len(run.innovations)
         parts, pushes = stretches(n, len(runs)), np.ones((n, len(places)))
-        for _, pattern, out, target in _rows(runner, lin, run, pushes, places, parts, bends):
+        pushed = Pushed(runner=runner, lin=lin, run=run, pushes=pushes, places=places, bends=bends)
+        for _, pattern, out, target in pushed.rows(parts):
             xx += np.einsum("kit,kiu->itu", out, out)
             xy += np.einsum("kit,ki->it", out, target)
             yy += (target**2).sum(axis=0)

@@ -16,14 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.simulators.command_text import command_text, say_commands
-from greybox.simulators.craft import Craft
+from greybox.simulators.craft import SHORTEST_LAG, Craft
 from greybox.simulators.laws import drag_of, fold_drag
 from greybox.simulators.words import THRUST_MAP, TORQUE_MAP, Status, Word, Wording, fixed_gravity
 from greybox.symbolic import FloatArray
 
 PER_MINUTE = 60.0 / (2.0 * math.pi)
-SHORTEST_LAG = 1e-3
-"""Rotors without a lag get this one [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)

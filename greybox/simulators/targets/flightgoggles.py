@@ -16,14 +16,14 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.model.effects.parasitic_drag import ParasiticDrag
 from greybox.simulators.change import Change
-from greybox.simulators.craft import Craft
+from greybox.simulators.craft import SHORTEST_LAG, Craft
 from greybox.simulators.laws import (
     DRAGS,
     linear_drag,
     no_gyroscopic_moment,
     typical_speed,
 )
-from greybox.simulators.layout import SYMMETRY, order_in
+from greybox.simulators.layout import ANY_LAYOUT, SYMMETRY, order_in
 from greybox.simulators.targets.rotorpy import GRAVITY
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps, symmetric_arms
 from greybox.simulators.yaml_text import yaml_number
@@ -32,8 +32,6 @@ from greybox.symbolic import FloatArray
 PLACES = ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1))
 """Rotors of FlightGoggles: sign of x and y, spin; all spins the other way round are a negative
 torque_coefficient."""
-SHORTEST_LAG = 1e-3
-"""[s]; FlightGoggles divides by the lag."""
 _YAML = """# {name} for FlightGoggles, written by greybox twin: rosparam load FILE /uav
 # Its rotors 0 to 3 are {order}. Commands are rates and thrust, which its own inner loop makes
 # speeds of.
@@ -68,14 +66,15 @@ class FlightGoggles:
     source = "Guerra et al. 2019, IROS; flightgoggles_uav_dynamics_node.cpp"
 
     def words(self, craft: Craft) -> tuple[Word, ...]:
-        """Squares of the speed, one lag, drag that is quadratic."""
+        """Squares of the speed, one lag, drag that is quadratic. Raises `ModelError` for rotors that
+        stand otherwise."""
         _order(craft)
         roll, pitch = (float(a) for a in np.abs(_arms(craft)).mean(axis=0)[::-1])
         if abs(roll - pitch) > SYMMETRY * max(roll, pitch):
             raise ModelError(
                 "FlightGoggles has one arm for roll and pitch",
                 got=f"{roll:.4g} and {pitch:.4g} m",
-                fix="choose a target that takes any layout: rotorpy, mujoco, crazyflow, gazebo",
+                fix=ANY_LAYOUT,
             )
         w = Wording(craft, self.simulator)
         quadratic_maps(w, thrust="thrust_coefficient", torque="torque_coefficient")

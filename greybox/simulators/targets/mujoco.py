@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.simulators.command_text import command_text, say_commands
-from greybox.simulators.craft import Craft
+from greybox.simulators.craft import SHORTEST_LAG, Craft
 from greybox.simulators.python_code import NUMBERS, python_source
 from greybox.simulators.words import THRUST_MAP, TORQUE_MAP, Status, Word, Wording
 from greybox.simulators.wrench import ARGUMENTS, wrench_function
@@ -21,8 +21,6 @@ from greybox.symbolic import FloatArray
 
 TIMESTEP = 0.002
 """Of the written model [s]."""
-SHORTEST_LAG = 1e-3
-"""Rotors without a lag get this one [s]."""
 
 _XML = """<mujoco model="{name}">
   <!-- Written by greybox twin. ctrl: rotor speed nu (commands.py makes it of a command); the full

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.simulators.change import Change
-from greybox.simulators.craft import Craft
+from greybox.simulators.craft import SHORTEST_LAG, Craft
 from greybox.simulators.laws import drag_of, fold_drag, linear_drag
 from greybox.simulators.layout import order_in
 from greybox.simulators.words import THRUST_MAP, TORQUE_MAP, Status, Word, Wording, symmetric_arms
@@ -21,7 +21,6 @@ from greybox.simulators.words import THRUST_MAP, TORQUE_MAP, Status, Word, Wordi
 PLACES = ((1, -1, 1), (-1, 1, 1), (1, 1, -1), (-1, -1, -1))
 """Motors 1 to 4 of PX4's quadrotor x: front right and rear left counter-clockwise, front left and
 rear right clockwise."""
-SHORTEST_LAG = 1e-3
 FLOAT, INTEGER = 9, 6
 """Types of a parameter in a file of QGroundControl."""
 

@@ -23,6 +23,7 @@ from greybox.model.vehicle import Vehicle
 from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
+from greybox.simulators.layout import ANY_LAYOUT
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps
 from greybox.symbolic import Expr, FloatArray
 
@@ -162,7 +163,7 @@ def order(craft: Craft) -> tuple[int, ...]:
         raise ModelError(
             "gym-pybullet-drones has four rotors, two of each spin",
             got=f"{len(left)} counter-clockwise and {len(right)} clockwise",
-            fix="choose a target that takes any layout: rotorpy, mujoco, crazyflow, gazebo",
+            fix=ANY_LAYOUT,
         )
     return left[0], right[0], left[1], right[1]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
-from greybox.simulators.craft import Craft
+from greybox.simulators.craft import SHORTEST_LAG, Craft
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps
 from greybox.symbolic import FloatArray
 
@@ -139,8 +139,6 @@ class RotorPy:
         return {"vehicle.py": text, "commands.py": command_text(craft)}
 
 
-SHORTEST_LAG = 1e-3
-"""RotorPy divides by tau_m: rotors without a lag get this one [s]."""
 _MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 

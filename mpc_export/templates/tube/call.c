@@ -1,13 +1,13 @@
 /* Samples since the call before: 1, more where calls did not come. Early and late calls even out. */
 static int samples(tube_real passed, unsigned *said) {
   int whole;
-  if (!(passed >= -1e-6 && passed <= 0.25)) {
+  if (!(passed >= -1e-6 && passed <= @late@)) {
     c.phase = 0;
     *said |= @UPPER@_TUBE_CLOCK;
     return 1;
   }
   c.phase += passed / sample;
-  whole = (int)(c.phase + 0.25);
+  whole = (int)(c.phase + @early@);
   if (whole < 1) whole = 1;
   c.phase = clip(c.phase - (tube_real)whole, -1, 1);
   if (whole > 1) *said |= @UPPER@_TUBE_CALLS_MISSED;

@@ -1,6 +1,7 @@
 
 /* ------------------------------------------------------------------------------------------------------------------
-   The sample: filter, gate, target, plan, fallback. controller.py says why each is as it is, and what its numbers are. */
+   The sample: filter, gate, target, plan, fallback. controller.py and clock.py say why each is as it is,
+   and what its numbers are. */
 
 #define NY @n_y@
 #define NE @n_e@

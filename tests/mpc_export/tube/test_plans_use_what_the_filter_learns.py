@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from greybox.errors import ModelError
+from mpc_export.adaptation import with_flight_spread
 from mpc_export.functions import model_functions
-from mpc_export.tube.controller import TubeController, _uncertain, integrating
+from mpc_export.tube.controller import TubeController, integrating
 from mpc_export.tube.estimator import flight_filter
 from mpc_export.tube.problem import TubeProblem
 from tests.mpc_export import cases
@@ -63,7 +64,7 @@ def test_a_fifth_more_mass_in_a_steady_wind_leaves_no_offset():
 def test_disturbances_that_do_not_decay_start_as_those_identified_do():
     """The filter's own walk has no stationary state: as good as 2 N instead of 3 mN."""
     model = cases.disturbed()
-    flown = _uncertain(integrating(model), {"mass": 0.1 * model.values["mass"]})
+    flown = with_flight_spread(integrating(model), {"mass": 0.1 * model.values["mass"]})
     f = flight_filter(model, flown, calibrate=True, adapt=True)
     at = f.adapted.names.index("error.disturbance.force.x")
     kept = math.exp(-model.sample_time / model.values["disturbance.force.T"])

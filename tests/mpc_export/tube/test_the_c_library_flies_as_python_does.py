@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import cortex
 from benchmarks.tube_on_chip import Circle
 from greybox.cli import main
 from greybox.errors import ModelError
 from greybox.residual.files import save_model
-from mpc_export import cortex
 from mpc_export.bundle import ExportBundle
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.in_process import TubeInC

@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from benchmarks import cortex
 from benchmarks.tube_on_chip import Circle
 from greybox.cli import main
 from greybox.errors import ModelError
 from greybox.residual.files import save_model
-from mpc_export import cortex
 from mpc_export.bundle import ExportBundle
 from mpc_export.tube import in_process, linear
 from mpc_export.tube.controller import TubeController

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mpc_export.functions import model_functions
-from mpc_export.tube.ipopt import IpoptSolver
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import TubeSolver
+from scenarios.studies.tube_ipopt import IpoptSolver
 from tests.mpc_export import cases
 
 
