@@ -257,13 +257,17 @@ def _resampled(
 def _with_drive(
     pieces: list[Segment], names: tuple[str, ...], max_gap: float
 ) -> tuple[list[Segment], list[str]]:
-    """Over at most `max_gap` [s] hold the commands `names`, or draw a line between the rotor speeds
-    that drive in their place; break the segments where they stay unknown."""
+    """Over at most `max_gap` [s] fill in the commands `names`, or the rotor speeds that drive in
+    their place; break the segments where they stay unknown.
+
+    A line is drawn between rotor speeds, and between commands where whole rows are lost that took
+    a command along. Commands that rows lack otherwise are held: none was sent.
+    """
     if not names:
         return pieces, []
     measured = not command_names(names)
     out: list[Segment] = []
-    filled = lost = 0
+    filled = drawn = lost = 0
     for piece in pieces:
         values = piece.matrix(names)
         limit = max(round(max_gap / piece.dt), 1)
@@ -272,13 +276,18 @@ def _with_drive(
         last = np.maximum.accumulate(np.where(known, index, -1), axis=0)
         usable = (last >= 0) & (index - last <= limit)
         carried = np.take_along_axis(values, np.maximum(last, 0), axis=0)
+        following = np.minimum.accumulate(np.where(known, index, piece.n)[::-1], axis=0)[::-1]
+        between = (following < piece.n) & (following - last <= limit + 1) & usable
+        after = np.take_along_axis(values, np.minimum(following, piece.n - 1), axis=0)
+        line = carried + (index - last) / np.maximum(following - last, 1) * (after - carried)
         if measured:
-            ahead = np.where(known, index, piece.n)[::-1]
-            following = np.minimum.accumulate(ahead, axis=0)[::-1]
-            usable &= known | ((following < piece.n) & (following - last <= limit + 1))
-            after = np.take_along_axis(values, np.minimum(following, piece.n - 1), axis=0)
-            share = (index - last) / np.maximum(following - last, 1)
-            carried = np.where(known, values, carried + share * (after - carried))
+            usable = known | between
+            carried = np.where(known, values, line)
+        else:
+            row_lost = np.isnan(piece.matrix(piece.names)).all(axis=1, keepdims=True)
+            unknown = between & row_lost & _sent_with_every_row(known)
+            carried = np.where(unknown, line, carried)
+            drawn += int(unknown.any(axis=1).sum())
         filled += int((usable & ~known).any(axis=1).sum())
         good = usable.all(axis=1)
         lost += int((~good).sum())
@@ -294,12 +303,21 @@ def _with_drive(
     notes = []
     if filled and measured:
         notes.append(f"rotor speeds interpolated over {filled} sample(s) without one")
-    elif filled:
-        notes.append(f"commands held over {filled} sample(s) without one")
+    if drawn:
+        notes.append(f"commands interpolated over {drawn} lost row(s)")
+    if filled > drawn and not measured:
+        notes.append(f"commands held over {filled - drawn} sample(s) without one")
     if lost:
         what = "rotor speeds are" if measured else "command is"
         notes.append(f"dropped {lost} sample(s) whose {what} not known")
     return out, notes
+
+
+def _sent_with_every_row(known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """(K,) whether a command usually comes with the row after the one of the command before it, of
+    `known` (n, K)."""
+    rows = [np.flatnonzero(column) for column in known.T]
+    return np.array([r.size > 1 and np.median(np.diff(r)) == 1 for r in rows])
 
 
 def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) -> Flight:

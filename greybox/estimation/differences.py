@@ -23,7 +23,6 @@ from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.estimation.engine import engine_for
 from greybox.estimation.gain import linearisation_at
-from greybox.estimation.lost_commands import any_lost, lost_commands
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.prior import Prior, unknown_of
@@ -214,9 +213,6 @@ class _Runner:
         elsewhere = large.reference({k: v + 1.0 for k, v in small.means.items()})
         self.linearisation = linearisation_at(large, (), self.reference, elsewhere)
         self.weak = (np.max([r.x0_sigma for r in self.records], axis=0) * 100.0) ** 2
-        self.lost = (
-            lost_commands(large, (), self.reference, elsewhere) if any_lost(self.records) else None
-        )
         process, sensor = small.noise_levels(theta)
         self.q, self.r = process**2, sensor**2
         self.names = [d.name for d in large.parameters]
@@ -258,12 +254,7 @@ class _Runner:
     def gains(self, p: FloatArray) -> list[RecordGains]:
         """The filter of every record at the parameters p."""
         values = self.linearisation.values(self.reference, self.window, p, self.small.dt)
-        lost = (
-            None
-            if self.lost is None
-            else self.lost.at(self.reference, self.window, p, self.small.dt)
-        )
-        settling = Settling(values=values, q=self.q, r=self.r, weak=self.weak, lost=lost)
+        settling = Settling(values=values, q=self.q, r=self.r, weak=self.weak)
         return [
             settling.gains(r, spread) for r, spread in zip(self.records, self.spreads, strict=True)
         ]

@@ -13,7 +13,6 @@ from greybox.errors import FitError
 from greybox.estimation.ahead import run_ahead
 from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.gain import Riccati, linearisation_anywhere
-from greybox.estimation.lost_commands import lost_commands
 from greybox.estimation.record import Record, make_record
 from greybox.estimation.settling import RecordGains, Settling
 from greybox.model.identified import IdentifiedModel
@@ -81,12 +80,6 @@ class Filter:
             q=model.process_noise**2,
             r=model.sensor_noise**2,
             weak=model.weak**2,
-            lost=lost_commands(model.dynamics).at(
-                model.reference_state,
-                _reference_window(model),
-                model.parameter_vector(),
-                model.sample_time,
-            ),
         )
         self.riccati: Riccati = self.settling.settled()[0]
 

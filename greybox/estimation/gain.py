@@ -20,7 +20,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -28,9 +28,7 @@ import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.elements import stack_times
-from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.point_functions import PointFunction
-from greybox.estimation.record import lost_bits
 from greybox.estimation.reference_point import (
     Fixed,
     Reference,
@@ -119,17 +117,6 @@ def linearisation_at(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Arrival:
-    """What a lost command adds to A P C' + G Q D' and to S at one sample, and the slopes of
-    that."""
-
-    N: FloatArray
-    S: FloatArray
-    dN: FloatArray | float = 0.0
-    dS: FloatArray | float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
 class GainRow:
     """Gain K (n_d, n_e) and innovation covariance S (n_e, n_e) of some channels, with dK (n_s, n_d,
     n_e), dS (n_s, ...)."""
@@ -143,11 +130,7 @@ class GainRow:
 @dataclass(frozen=True, kw_only=True)
 class Riccati:
     """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that
-    gains need.
-
-    `lost`: what lost commands add to the samples after them; `pieces` are A, C and, with slopes,
-    dA, dC.
-    """
+    gains need."""
 
     P: FloatArray
     N: FloatArray  # A P C' + G Q D', (n_d, n_e)
@@ -155,64 +138,7 @@ class Riccati:
     dP: FloatArray | None = None  # (n_s, n_d, n_d)
     dN: FloatArray | None = None
     dS: FloatArray | None = None
-    lost: Pushes | None = None
-    pieces: tuple[FloatArray, ...] = ()
     _rows: dict[bytes, GainRow] = field(default_factory=dict, init=False, repr=False, compare=False)
-
-    @property
-    def _felt(self) -> int:
-        """Bits of the lost rows of which something arrives."""
-        return 0 if self.lost is None else self.lost.felt
-
-    def distinct(self, patterns: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-        """(patterns whose gains differ, which of them each of `patterns` is): a lost command
-        reaches few of the samples after it."""
-        return _distinct(patterns.tobytes(), patterns.shape, self._felt)
-
-    @functools.cached_property
-    def _arrivals(self) -> list[_Arrival]:
-        """What one lost command adds at each sample after it that it reaches, see
-        `greybox.estimation.lost_commands`."""
-        assert self.lost is not None
-        a, c, *slopes = self.pieces
-        b, h = self.lost.B, self.lost.H
-        sloped = bool(slopes) and self.dS is not None
-        early, (weight, dweight) = self.lost.early, self.lost.weights
-        x, made = b[0] + a @ early, list[_Arrival]()
-        dx = db = dh = np.zeros((0, 1, *x.shape))
-        if sloped:
-            da, dc = slopes
-            db, dh, dearly = (
-                extended(v, len(da)) for v in (self.lost.dB, self.lost.dH, self.lost.dearly)
-            )
-            dx, dweight = db[:, 0] + da @ early + a @ dearly, extended(dweight, len(da))
-        for i in range(self._felt.bit_length()):
-            e, f = c @ x + h[i + 1], a @ x + b[i + 1]
-            n_, s = weight[i] * f @ e.T, weight[i] * e @ e.T
-            if not sloped:
-                made.append(_Arrival(N=n_, S=s))
-                k, *_ = _gain(self.N + n_, self.S + s)
-                x = f - k @ e
-                continue
-            de, df = dc @ x + c @ dx + dh[:, i + 1], da @ x + a @ dx + db[:, i + 1]
-            side, dw = weight[i] * de @ e.T, dweight[:, i, None, None]
-            dn = weight[i] * (df @ e.T + f @ de.transpose(0, 2, 1)) + dw * (f @ e.T)
-            ds = side + side.transpose(0, 2, 1) + dw * (e @ e.T)
-            made.append(_Arrival(N=n_, S=s, dN=dn, dS=ds))
-            assert self.dN is not None and self.dS is not None
-            k, dk = _gain(self.N + n_, self.S + s, self.dN + dn, self.dS + ds)
-            x, dx = f - k @ e, df - dk @ e - k @ de
-        return made
-
-    def _after_lost(self, bits: int) -> Riccati:
-        """The pieces at a sample that feels the lost commands of the rows in `bits` (bit i: the row
-        before the last i)."""
-        new = [v for i, v in enumerate(self._arrivals) if bits >> i & 1]
-        n_, s = self.N + sum(v.N for v in new), self.S + sum(v.S for v in new)
-        if self.dN is None or self.dS is None:
-            return replace(self, N=n_, S=s, lost=None)
-        dn, ds = self.dN + sum(v.dN for v in new), self.dS + sum(v.dS for v in new)
-        return replace(self, N=n_, S=s, dN=dn, dS=ds, lost=None)
 
     def row(self, there: FloatArray) -> GainRow:
         """`gain` as a row of a gain table; made once."""
@@ -232,9 +158,6 @@ class Riccati:
         keep their size.
         """
         m = np.asarray(there) != 0
-        bits = int(lost_bits(np.asarray(there)).max(initial=0)) & self._felt
-        if bits:
-            return self._after_lost(bits).gain(m)
         if m.all() and self.dN is not None and self.dS is not None:
             k, dk = _gain(self.N, self.S, self.dN, self.dS)
             return k, self.S, dk, self.dS
@@ -269,14 +192,12 @@ def rows_of(pairs: Sequence[tuple[Riccati, FloatArray]]) -> list[GainRow]:
 
 def _side_by_side(solutions: Sequence[Riccati], there: FloatArray) -> list[GainRow]:
     """`Riccati.gain` of solutions without slopes."""
-    bits = int(lost_bits(there).max(initial=0))
-    felt = [v._after_lost(bits & v._felt) if bits & v._felt else v for v in solutions]
     at = np.flatnonzero(there)
-    s = np.tile(np.eye(there.size), (len(felt), 1, 1))
-    inner = np.array([v.S for v in felt])[:, at[:, None], at]
+    s = np.tile(np.eye(there.size), (len(solutions), 1, 1))
+    inner = np.array([v.S for v in solutions])[:, at[:, None], at]
     s[:, at[:, None], at] = inner
-    k = np.zeros((len(felt), *felt[0].N.shape))
-    k[:, :, at] = np.array([v.N for v in felt])[:, :, at] @ np.linalg.inv(inner)
+    k = np.zeros((len(solutions), *solutions[0].N.shape))
+    k[:, :, at] = np.array([v.N for v in solutions])[:, :, at] @ np.linalg.inv(inner)
     return [GainRow(K=a, S=b, dK=None, dS=None) for a, b in zip(k, s, strict=True)]
 
 
@@ -287,20 +208,6 @@ def _gain(
     inverse = np.linalg.inv(s)
     k = n @ inverse
     return k, (dn - k @ ds) @ inverse if np.ndim(ds) else np.zeros(0)
-
-
-@functools.lru_cache(maxsize=64)
-def _distinct(
-    patterns: bytes, shape: tuple[int, ...], felt: int
-) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-    """See `Riccati.distinct`: evaluations of a fit ask for the same again and again."""
-    kinds = np.frombuffer(patterns).reshape(shape)
-    kept = 1.0 + (lost_bits(kinds) & felt)
-    few, which = np.unique(np.where(kinds == 0, 0.0, kept), axis=0, return_inverse=True)
-    which = which.ravel()
-    few.setflags(write=False)
-    which.setflags(write=False)
-    return few, which
 
 
 def solve_riccati(
@@ -366,18 +273,16 @@ def stationary(
     slopes: tuple[FloatArray, ...] | None = None,
     dq: FloatArray | None = None,
     dr: FloatArray | None = None,
-    lost: Pushes | None = None,
 ) -> Riccati:
     """Riccati solution and, with `slopes` (dA, dG, dC, dD) and dq (n_s, n_w), dr (n_s, n_e), its
     derivatives.
 
     The first axis of all derivatives is the same list of parameters; slopes of model parameters may
-    be shorter (the remaining parameters are noise levels, which do not move A, G, C, D); those of
-    `lost` too.
+    be shorter (the remaining parameters are noise levels, which do not move A, G, C, D).
     """
     a, g, c, d = values
     p = solve_riccati(a, g, c, d, q, r, weak)
-    samples = SystemSamples(values=values, q=q, r=r, slopes=slopes, dq=dq, dr=dr, lost=lost)
+    samples = SystemSamples(values=values, q=q, r=r, slopes=slopes, dq=dq, dr=dr)
     if slopes is None or dq is None or dr is None:
         return samples.at(p)
     gqd = (g * q) @ d.T
@@ -401,7 +306,7 @@ class SystemSamples:
     """Linear system seen sample by sample: what gains need, from the covariance of the predicted
     state there.
 
-    values (A, G, C, D), q, r, slopes, dq, dr, lost as in `stationary`. N and S are P times
+    values (A, G, C, D), q, r, slopes, dq, dr as in `stationary`. N and S are P times
     something and what does not depend on P, which is made once.
     """
 
@@ -411,7 +316,6 @@ class SystemSamples:
     slopes: tuple[FloatArray, ...] | None = None
     dq: FloatArray | None = None
     dr: FloatArray | None = None
-    lost: Pushes | None = None
 
     @functools.cached_property
     def _fixed(self) -> tuple[FloatArray, FloatArray]:
@@ -420,17 +324,17 @@ class SystemSamples:
 
     @functools.cached_property
     def _slopes(self) -> tuple[FloatArray, ...] | None:
-        """dA, dC of the model's parameters alone; dA, dC, and the slopes of what does not depend on
-        P, of all unknowns."""
+        """dA, dC of the model's parameters; the slopes of what does not depend on P, of all
+        unknowns."""
         if self.slopes is None or self.dq is None or self.dr is None:
             return None
         (_, g, _, d), q, n = self.values, self.q, self.dq.shape[0]
-        da, dg, dc, dd = (extended(v, n) for v in self.slopes)
+        dg, dd = (extended(v, n) for v in self.slopes[1::2])
         dn = (dg * q) @ d.T + (g * self.dq[:, None, :]) @ d.T + (g * q) @ dd.transpose(0, 2, 1)
         half = (dd * q) @ d.T
         ds = half + half.transpose(0, 2, 1) + (d * self.dq[:, None, :]) @ d.T
         ds[:, np.arange(self.r.size), np.arange(self.r.size)] += self.dr
-        return self.slopes[0], self.slopes[2], da, dc, dn, ds
+        return self.slopes[0], self.slopes[2], dn, ds
 
     def at(self, p: FloatArray, dp: FloatArray | None = None) -> Riccati:
         """The solution where the predicted state has the covariance `p` (n_d, n_d) with slopes `dp`
@@ -439,15 +343,15 @@ class SystemSamples:
         pc = p @ c.T
         n_, s = a @ pc + self._fixed[0], c @ pc + self._fixed[1]
         if dp is None or self._slopes is None:
-            return Riccati(P=p, N=n_, S=s, lost=self.lost, pieces=(a, c))
-        da, dc, *every, fixed_n, fixed_s = self._slopes
+            return Riccati(P=p, N=n_, S=s)
+        da, dc, fixed_n, fixed_s = self._slopes
         own = len(da)
         dpc = stack_times(dp, c.T)
         dn, ds = fixed_n + a @ dpc, fixed_s + c @ dpc
         half = stack_times(dc, pc)
         dn[:own] += stack_times(da, pc) + (a @ p) @ dc.transpose(0, 2, 1)
         ds[:own] += half + half.transpose(0, 2, 1)
-        return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=self.lost, pieces=(a, c, *every))
+        return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds)
 
 
 def extended(stack: FloatArray | None, n: int) -> FloatArray:

@@ -35,8 +35,7 @@ def _filter(
     x, window = prepared.reference
     p = problem.parameters_of(theta, None)
     values = prepared.linearisation.values(x, window, p, problem.dt)
-    lost = None if prepared.lost is None else prepared.lost.at(x, window, p, problem.dt)
-    return stationary(values, process**2, sensor**2, prepared.weak, lost=lost), values
+    return stationary(values, process**2, sensor**2, prepared.weak), values
 
 
 def _pass(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
 from greybox.data.raw import is_numeric
@@ -21,22 +20,14 @@ from greybox.model.noise import lasting_errors
 from greybox.model.state_blocks import usual_of
 from greybox.symbolic import BoolArray, FloatArray
 
-REACH = 50
-"""Rows after a lost one that know of it at most: whole numbers in floating point have so many
-bits."""
-MOST = 2
-"""How many lost rows before it a row knows of, the last ones."""
 ALIKE = 10.0
 """Factor between two spreads of a start up to which they are of one kind."""
-RARE = 0.1
-"""Share of a record's rows up to which rows without any measurement count as lost."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
     """Arrays of one segment. `patterns` (n_pat, n_e) lists which innovation components are there,
-    `pattern` (n,) which: 0 missing, 1 there, 1 + bits there, after rows that were lost with their
-    commands (see `lost_bits`)."""
+    `pattern` (n,) which: 0 missing, 1 there."""
 
     flight: str
     segment: Segment
@@ -121,8 +112,7 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = START_S
     mask = np.column_stack(
         [there[:, [at[c] for c in cols]].all(axis=1) for cols in dynamics.innovation_columns]
     )
-    kinds = np.where(mask, 1.0 + _after_lost(mask, u, dynamics.window[0])[:, None], 0.0)
-    patterns, pattern = np.unique(kinds, axis=0, return_inverse=True)
+    patterns, pattern = np.unique(mask.astype(np.float64), axis=0, return_inverse=True)
     few = max(3, round(start_seconds / segment.dt))
     numbers = {n: v for n, v in segment.extra.items() if is_numeric(v)} | dict(segment.channels)
     start = {n: v[:few] for n, v in numbers.items()}
@@ -136,7 +126,7 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = START_S
         inputs=engine.padded_inputs(u, _earlier(segment, dynamics.inputs.names)),
         mask=mask.astype(np.float64),
         pattern=pattern.ravel().astype(np.int32),
-        patterns=patterns.astype(np.float64),
+        patterns=patterns,
         dt=segment.dt,
         x0=x0,
         x0_sigma=sigma,
@@ -151,31 +141,6 @@ def _earlier(segment: Segment, names: tuple[str, ...]) -> FloatArray | None:
         return None
     u = hold_missing(np.column_stack([segment.earlier[n] for n in names]))[0]
     return u if np.isfinite(u).all() else None
-
-
-def lost_bits(patterns: FloatArray) -> npt.NDArray[np.int64]:
-    """Which rows before were lost with their commands: bit 0 the last one, bit i the one i rows
-    earlier."""
-    return np.maximum(patterns.astype(np.int64) - 1, 0)
-
-
-def _after_lost(mask: BoolArray, u: FloatArray, past: int) -> FloatArray:
-    """(n,) bits of the last `MOST` rows before every row that were lost, not longer ago than a
-    step looks at commands: nothing was measured there, and the command is only that of the row
-    before."""
-    lost = np.asarray(~mask.any(axis=1))
-    lost[1:] &= (u[1:] == u[:-1]).all(axis=1)
-    lost[0] = False
-    bits = np.zeros(lost.size)
-    if lost.mean() <= RARE:
-        known = np.zeros(lost.size, dtype=int)
-        for i in range(min(past + 1, REACH)):
-            new = np.zeros_like(lost)
-            new[i + 1 :] = lost[: max(lost.size - 1 - i, 0)]
-            new &= known < MOST
-            bits += float(1 << i) * new
-            known += new
-    return bits
 
 
 def make_records(engine: Engine, dataset: Dataset) -> list[Record]:

@@ -36,7 +36,6 @@ from greybox.estimation.gain import (
     smith,
     stationary,
 )
-from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.record import Record
 from greybox.estimation.recursion import GainTable, IntArray
 from greybox.model.dynamics import Dynamics
@@ -147,11 +146,8 @@ class RecordGains:
 
 def held(solution: Riccati, record: Record) -> RecordGains:
     """The filter of a record with one covariance from its first sample to its last."""
-    few, kind = solution.distinct(record.patterns)
-    rows = tuple((0, there) for there in few)
-    return RecordGains(
-        solutions=(solution,), rows=rows, pattern=kind[record.pattern].astype(np.int32)
-    )
+    rows = tuple((0, there) for there in record.patterns)
+    return RecordGains(solutions=(solution,), rows=rows, pattern=record.pattern)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,10 +155,9 @@ class Settling:
     """The filter of one linear system, and how it gets there from a start. Not for several threads
     at once.
 
-    values (A, G, C, D), q, r, weak, slopes, dq, dr, lost as in
-    `greybox.estimation.gain.stationary`; `columns` (n,): the slopes are those in the unknowns where
-    it is true, the others (n in all) do not move the filter. Raises `FitError` where there is no
-    stationary filter.
+    values (A, G, C, D), q, r, weak, slopes, dq, dr as in `greybox.estimation.gain.stationary`;
+    `columns` (n,): the slopes are those in the unknowns where it is true, the others (n in all) do
+    not move the filter. Raises `FitError` where there is no stationary filter.
     """
 
     values: tuple[FloatArray, ...]
@@ -172,7 +167,6 @@ class Settling:
     slopes: tuple[FloatArray, ...] | None = None
     dq: FloatArray | None = None
     dr: FloatArray | None = None
-    lost: Pushes | None = None
     columns: BoolArray | None = None
     _known: dict[bytes, list[Riccati]] = field(default_factory=dict)
     _walks: dict[tuple[bytes, bytes, bytes], _Walk] = field(default_factory=dict)
@@ -204,8 +198,8 @@ class Settling:
             early, at = self._early(record, pattern, spread)
             node = np.where(at >= 0, at + len(solutions), node)
             solutions += early
-        few, kind = solutions[0].distinct(record.patterns)
-        pair = node * len(few) + kind[record.pattern]
+        few = record.patterns
+        pair = node * len(few) + record.pattern
         there = np.bincount(pair) > 0
         rows = tuple((int(i) // len(few), few[int(i) % len(few)]) for i in np.flatnonzero(there))
         return RecordGains(
@@ -216,9 +210,7 @@ class Settling:
         )
 
     def _always(self) -> Riccati:
-        return stationary(
-            self.values, self.q, self.r, self.weak, self.slopes, self.dq, self.dr, self.lost
-        )
+        return stationary(self.values, self.q, self.r, self.weak, self.slopes, self.dq, self.dr)
 
     def told(self, record: Record) -> BoolArray:
         """Which errors of a record's start (n_d,) its first samples tell, as far as the
@@ -242,7 +234,6 @@ class Settling:
             slopes=self.slopes,
             dq=self.dq,
             dr=self.dr,
-            lost=self.lost,
         )
 
     @functools.cached_property

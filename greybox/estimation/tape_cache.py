@@ -27,7 +27,6 @@ MAKERS = (
     "reference_point.py",
     "point_functions.py",
     "gain.py",
-    "lost_commands.py",
 )
 """What a tape depends on besides the expressions, in this package."""
 SUFFIX = ".npz"

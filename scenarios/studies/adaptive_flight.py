@@ -19,7 +19,6 @@ import ctypes
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +142,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     model = IdentifiedModel.load(options.model)
     data = read_logs(options.logs, read_vehicle(options.vehicle))
     own = Filter(model)
-    settled = replace(own.riccati, lost=None)
     with tempfile.TemporaryDirectory() as name:
         place = Path(name) / "craft"
         bundle = write_bundle(model, place, targets=("c",), with_=("adapt",), even_so=True)
@@ -157,7 +155,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         rows: list[tuple[float, float, float]] = []
         for flight in data.flights:
             part = first(flight, options.seconds)
-            batch = adapt_to_flight(model, flight, options.seconds, riccati=settled)
+            batch = adapt_to_flight(model, flight, options.seconds, riccati=own.riccati)
             value, std = flown(
                 step, bundle, make_record(own.engine, part.segments[0]), options.memory
             )

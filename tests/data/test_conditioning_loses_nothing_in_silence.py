@@ -76,7 +76,7 @@ def test_untrimmed_uniform_logs_keep_every_value():
     assert np.array_equal(segment.column("p")[seen], raw.channels["p"])
     assert segment.n - seen.sum() == 11  # dropped ticks of the motion capture clock
     assert np.isfinite(segment.column("u1")).all()
-    assert any("commands held over 11 sample(s)" in n for n in flight.notes)
+    assert any("commands interpolated over 11 lost row(s)" in n for n in flight.notes)
     assert np.abs(segment.t[seen] - raw.t).max() < 5e-4
 
 
@@ -99,8 +99,9 @@ def test_dropped_samples_stay_missing(n, rate, dropped, start):
     assert segment.dt == pytest.approx(1 / rate, rel=1e-9)
     assert np.array_equal(np.isnan(segment.column("p")), ~keep)
     assert np.array_equal(segment.column("p")[keep], values[keep])
-    last = np.maximum.accumulate(np.where(keep, np.arange(n), 0))
-    assert np.array_equal(segment.column("u1"), values[last] + 2.0)
+    between = np.interp(np.arange(n), steps, values[keep]) + 2.0
+    assert segment.column("u1") == pytest.approx(between, rel=1e-12)
+    assert np.array_equal(segment.column("u1")[keep], values[keep] + 2.0)
 
 
 def test_gaps_end_segments_and_max_gap_decides():
@@ -203,6 +204,21 @@ def test_a_slow_command_is_held_until_its_next():
     flight = condition(raw_log(t, u1=u, p=t), trim=False)
     assert len(flight.segments) == 1
     assert flight.segments[0].n > 0.99 * t.size
+
+
+def test_a_lost_row_without_a_command_leaves_the_last_one_standing():
+    k = np.arange(200)
+    u = np.where(k % 2 == 0, np.sin(0.1 * k), np.nan)
+    kept = k != 51
+    (segment,) = condition(raw_log(k[kept] * 0.01, u1=u[kept], p=k[kept]), trim=False).segments
+    assert segment.column("u1") == pytest.approx(np.sin(0.1 * (k - k % 2)))
+
+
+def test_a_command_of_a_kept_row_that_has_none_is_held():
+    k = np.arange(200)
+    u = np.where(k == 50, np.nan, np.sin(0.1 * k))
+    (segment,) = condition(raw_log(k * 0.01, u1=u, p=k), trim=False).segments
+    assert segment.column("u1")[50] == np.sin(4.9)
 
 
 def test_a_command_from_before_a_gap_is_in_no_mean():

@@ -22,7 +22,6 @@ import numpy as np
 
 from greybox.estimation.bending import bent
 from greybox.estimation.gain import Linearisation, Riccati, linearisation_at
-from greybox.estimation.lost_commands import LostCommands, any_lost, lost_commands
 from greybox.estimation.predictor import Block, Predictor, Prepared_co
 from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.settling import READINGS, SOON, RecordGains, Settling
@@ -40,13 +39,11 @@ numbers below 1e-308, which the decay would otherwise end in, take ten times as 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InnovationPrepared:
     """What the innovation form works out once: the step linearised symbolically, the reference
-    (state (n_x,), command window (n_u, past + 1 + future)) that it is evaluated at, what lost
-    commands push (None where none was lost), and the variances (n_d,) of the very weak
-    pseudo-measurement of every error state."""
+    (state (n_x,), command window (n_u, past + 1 + future)) that it is evaluated at, and the
+    variances (n_d,) of the very weak pseudo-measurement of every error state."""
 
     linearisation: Linearisation
     reference: tuple[FloatArray, FloatArray]
-    lost: LostCommands | None
     weak: FloatArray
 
 
@@ -152,7 +149,6 @@ class Innovation(StationaryGain[InnovationPrepared]):
         return InnovationPrepared(
             linearisation=linearisation_at(d, built, x, elsewhere).select(problem.engine.columns),
             reference=(x, np.repeat(u[:, None], past + 1 + future, axis=1)),
-            lost=lost_commands(d, built, x, elsewhere) if any_lost(problem.records) else None,
             weak=weak**2,
         )
 
@@ -195,26 +191,18 @@ class Innovation(StationaryGain[InnovationPrepared]):
         """The filter at `theta`; per-flight parameters at their base values. Slopes are in local
         columns."""
         prepared = problem.prepared(self)
-        lin, weak, lost = prepared.linearisation, prepared.weak, prepared.lost
+        lin, weak = prepared.linearisation, prepared.weak
         x, window = prepared.reference
         p = problem.parameters_of(theta, None)
         process, sensor = problem.noise_levels(theta)
         q, r = process**2, sensor**2
         if not slopes:
-            pushes = None if lost is None else lost.at(x, window, p, problem.dt)
-            return Settling(
-                values=lin.values(x, window, p, problem.dt), q=q, r=r, weak=weak, lost=pushes
-            )
+            return Settling(values=lin.values(x, window, p, problem.dt), q=q, r=r, weak=weak)
         values, dvalues = lin(x, window, p, problem.dt)
         # A per-flight parameter does not move the common gain, nor does a bias.
         shared = np.array([(a, None) in problem.index for a in problem.engine.active], dtype=bool)
         felt = np.any([v.any(axis=(1, 2)) for v in dvalues], axis=0)
-        moving = shared & (felt | (lost is not None))
-        pushes = (
-            None
-            if lost is None
-            else lost.at(x, window, p, problem.dt, problem.engine.columns[moving])
-        )
+        moving = shared & felt
         free = np.array([problem.place(n) is not None for n in noise_names(problem)], dtype=bool)
         na, nw, level = int(moving.sum()), q.size, np.concatenate([q, r])
         dlevel = np.diag(2 * level)[free]  # d sigma^2 / d ln sigma
@@ -227,7 +215,6 @@ class Innovation(StationaryGain[InnovationPrepared]):
             slopes=tuple(v[moving] for v in dvalues),
             dq=dlevel[:, :nw],
             dr=dlevel[:, nw:],
-            lost=pushes,
             columns=np.concatenate([moving, np.ones(free.sum(), dtype=bool)]),
         )
 
