@@ -124,8 +124,8 @@ def _parabola(
         prior,
         loose,
         places,
-        floor=bounded & (at <= wide.lower),
-        ceiling=bounded & (at >= wide.upper),
+        low=np.where(bounded, np.minimum(wide.lower - at, 0.0), -np.inf),
+        high=np.where(bounded, np.maximum(wide.upper - at, 0.0), np.inf),
         scatter=None
         if not found.coloured or scores is None or len(scores) < FEWEST_BLOCKS
         else scores.T @ scores,

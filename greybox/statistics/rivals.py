@@ -10,19 +10,19 @@ with the posterior odds w_f (Hoeting, Madigan, Raftery and Volinsky 1999, Statis
 14(4)). A set that is less likely than without its last cause is no rival (Occam's window: Madigan
 and Raftery 1994, JASA 89(428)): what the data do not ask for widens nothing. Scores that scatter
 more than the information says, as those of coloured errors do, count for less (Rotnitzky and Jewell
-1990, Biometrika 77(3)).
+1990, Biometrika 77(3)). A form is judged where it is possible: an estimate that it would move beyond
+its bounds stops there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 TOGETHER = 6
 """Causes of one set at most: the later ones rest on a parabola about the fit without any."""
@@ -34,16 +34,16 @@ DEAD = 1e-8
 class Parabola:
     """The cost about a fit: `information` (n, n) with all priors and `gradient` (n,), by the
     unknowns that are `fitted` and by those of `causes`, which stand at nothing with priors of
-    precision `prior` (n,). `floor`, `ceiling` (n,): which of these cannot go below or above.
-    `scatter` (n, n): sum of the outer products of block scores, None where errors are white."""
+    precision `prior` (n,). `low`, `high` (n,): how far each may step, 0 at a bound. `scatter` (n,
+    n): sum of the outer products of block scores, None where errors are white."""
 
     information: FloatArray
     gradient: FloatArray
     prior: FloatArray
     fitted: Sequence[int]
     causes: Mapping[str, Sequence[int]]
-    floor: BoolArray
-    ceiling: BoolArray
+    low: FloatArray
+    high: FloatArray
     scatter: FloatArray | None = None
 
     @staticmethod
@@ -54,14 +54,14 @@ class Parabola:
         loose: Iterable[int],
         causes: Mapping[str, Sequence[int]],
         *,
-        floor: BoolArray | None = None,
-        ceiling: BoolArray | None = None,
+        low: FloatArray | None = None,
+        high: FloatArray | None = None,
         scatter: FloatArray | None = None,
     ) -> Parabola:
         """The parabola where flights give the information `data` (n, n). Of the unknowns that are
-        `loose` those are fitted that are no cause's and of which anything is told; without `floor`
-        and `ceiling` nothing is bounded."""
-        information, never = data + np.diag(prior), np.zeros(len(prior), dtype=bool)
+        `loose` those are fitted that are no cause's and of which anything is told; without `low`
+        and `high` nothing is bounded."""
+        information, far = data + np.diag(prior), np.full(len(prior), np.inf)
         of_causes = {i for rows in causes.values() for i in rows}
         return Parabola(
             information=information,
@@ -69,8 +69,8 @@ class Parabola:
             prior=prior,
             fitted=[i for i in loose if i not in of_causes and information[i, i] > 0],
             causes=causes,
-            floor=never if floor is None else floor,
-            ceiling=never if ceiling is None else ceiling,
+            low=-far if low is None else low,
+            high=far if high is None else high,
             scatter=scatter,
         )
 
@@ -88,13 +88,15 @@ class Parabola:
 class Form:
     """A set of causes: log of its odds against the fit without any, the `shift` (m,) of the fitted
     unknowns with them, what not knowing their size adds to the covariance (m, m), and by place of
-    a cause how far it goes, with the standard error of that (`steps`)."""
+    a cause how far it goes, with the standard error of that (`steps`). `kept_back`: what bounds of
+    the fitted unknowns take from the log odds."""
 
     causes: tuple[str, ...]
     log_odds: float
     shift: FloatArray
     more: FloatArray
     steps: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    kept_back: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,18 +164,56 @@ def _form(
     others, own = _inside(at, of_others, felt[name])
     if not own:
         return None
-    gain = _gain(at, [*at.fitted, *others], own)
+    gain, told = _gain(at, [*at.fitted, *others], own)
     rows = [*others, *own]
-    information, score, moved = _projected(at, at.fitted, rows)
-    errors = _errors(at, at.fitted, rows, information, moved)
+    stopped, kept_back = _stopped(at, rows)
+    kept_back /= told
+    rest = [i for i in at.fitted if i not in stopped]
+    gradient = at.gradient + at.information[:, [*stopped]] @ np.array([*stopped.values()])
+    information, score, moved = _projected(replace(at, gradient=gradient), rest, rows)
+    errors = _errors(at, rest, rows, information, moved)
     back = np.linalg.solve(information, score)
+    along = -_inverse(at, rest) @ at.information[np.ix_(rest, [*stopped])]
+    shift, place = np.zeros(len(at.fitted)), [at.fitted.index(i) for i in rest]
+    shift[[at.fitted.index(i) for i in stopped]] = [*stopped.values()]
+    shift[place] = moved @ back + along @ np.array([*stopped.values()])
+    more = np.zeros((shift.size, shift.size))
+    more[np.ix_(place, place)] = moved @ np.linalg.solve(information, moved.T)
+    odds = 0.0 if before is None else before.log_odds + before.kept_back
     return Form(
         causes=(*there, name),
-        log_odds=(0.0 if before is None else before.log_odds) + gain - price,
-        shift=np.asarray(moved @ back),
-        more=np.asarray(moved @ np.linalg.solve(information, moved.T)),
+        log_odds=odds + gain - price - kept_back,
+        shift=shift,
+        more=more,
         steps={i: (-float(b), e) for i, b, e in zip(rows, back, errors, strict=True)},
+        kept_back=kept_back,
     )
+
+
+def _stopped(at: Parabola, rows: Sequence[int]) -> tuple[dict[int, float], float]:
+    """(the fitted unknowns that the causes at `rows` move to a bound, with their steps; what the
+    cost falls less because of that)."""
+    stopped: dict[int, float] = {}
+    fall = 0.0
+    while True:
+        free = [i for i in (*at.fitted, *rows) if i not in stopped]
+        at_bound, steps = [*stopped], np.array([*stopped.values()])
+        slope = at.gradient + at.information[:, at_bound] @ steps
+        step = -_inverse(at, free) @ slope[free]
+        own = at.gradient[at_bound] + 0.5 * at.information[np.ix_(at_bound, at_bound)] @ steps
+        new = -0.5 * float(slope[free] @ step) - float(own @ steps)
+        if not stopped:
+            fall = new
+        # Of those beyond, the one that reaches its bound first.
+        share = {
+            i: (at.low[i] if s < 0 else at.high[i]) / s
+            for i, s in zip(free, step, strict=True)
+            if i not in rows and not at.low[i] <= s <= at.high[i]
+        }
+        if not share:
+            return stopped, max(fall - new, 0.0)
+        first = min(share, key=lambda i: share[i])
+        stopped[first] = float(at.low[first] if step[free.index(first)] < 0 else at.high[first])
 
 
 def _inside(at: Parabola, others: Sequence[int], own: Sequence[int]) -> tuple[list[int], list[int]]:
@@ -182,24 +222,24 @@ def _inside(at: Parabola, others: Sequence[int], own: Sequence[int]) -> tuple[li
     while rows:
         information, score, _ = _projected(at, at.fitted, rows)
         falls = np.linalg.solve(information, score) > 0
-        free = np.where(falls, ~at.floor[rows], ~at.ceiling[rows])
+        free = np.where(falls, at.low[rows] < 0, at.high[rows] > 0)
         if free.all():
             break
         rows = [i for i, inside in zip(rows, free, strict=True) if inside]
     return [i for i in others if i in rows], [i for i in own if i in rows]
 
 
-def _gain(at: Parabola, rest: Sequence[int], own: Sequence[int]) -> float:
-    """Log evidence that the unknowns at `own` bring, those at `rest` along; coloured scores count
-    for less."""
+def _gain(at: Parabola, rest: Sequence[int], own: Sequence[int]) -> tuple[float, float]:
+    """(log evidence that the unknowns at `own` bring, those at `rest` along; how many times less
+    coloured scores count)."""
     information, score, moved = _projected(at, rest, own)
-    prior = np.diag(at.prior[own])
+    prior, told = np.diag(at.prior[own]), 1.0
     if (scatter := _scatter(at, rest, own, moved)) is not None:
         told = max(float(np.trace(np.linalg.solve(information, scatter))) / len(own), 1.0)
         information, score = (information - prior) / told + prior, score / told
     _, size = np.linalg.slogdet(information)
     room = float(size - np.log(at.prior[own]).sum())
-    return 0.5 * float(score @ np.linalg.solve(information, score)) - 0.5 * room
+    return 0.5 * float(score @ np.linalg.solve(information, score)) - 0.5 * room, told
 
 
 def _scatter(
@@ -227,6 +267,14 @@ def _errors(
     least, scatter = np.diag(inverse), _scatter(at, rest, own, moved)
     variance = least if scatter is None else np.diag(inverse @ scatter @ inverse)
     return [float(e) for e in np.sqrt(np.maximum(variance, least))]
+
+
+def _inverse(at: Parabola, among: Sequence[int]) -> FloatArray:
+    """Inverse (k, k) of the information on the unknowns at `among`."""
+    size = np.sqrt(np.maximum(np.diag(at.information)[[*among]], 1e-300))
+    unit = at.information[np.ix_(among, among)] / np.outer(size, size)
+    inverse: FloatArray = np.linalg.pinv(unit, rcond=1e-12, hermitian=True)
+    return inverse / np.outer(size, size)
 
 
 def _projected(

@@ -31,8 +31,8 @@ def world(draw: np.random.Generator, cubic: float) -> tuple:
         prior=prior,
         fitted=[0, 1],
         causes={"cube": [2], "sine": [3], "nothing": [4]},
-        floor=np.zeros(5, dtype=bool),
-        ceiling=np.zeros(5, dtype=bool),
+        low=np.full(5, -np.inf),
+        high=np.full(5, np.inf),
     )
     variance = np.linalg.inv(whole[:, :2].T @ whole[:, :2])
     return estimate, variance, at
@@ -95,8 +95,8 @@ def test_coloured_errors_are_no_cause():
             "prior": prior,
             "fitted": [0],
             "causes": {"a": [1], "b": [2], "c": [3]},
-            "floor": np.zeros(4, dtype=bool),
-            "ceiling": np.zeros(4, dtype=bool),
+            "low": np.full(4, -np.inf),
+            "high": np.full(4, np.inf),
         }
         found["believed"] += averaged(Parabola(**common)).best is not None
         found["told"] += averaged(Parabola(**common, scatter=rows.T @ rows)).best is not None
@@ -107,10 +107,57 @@ def test_coloured_errors_are_no_cause():
 def test_a_cause_that_cannot_be_negative_is_no_rival_where_it_would_be():
     draw = np.random.default_rng(2)
     _, _, at = world(draw, -0.3)
-    stopped = Parabola(**{**vars(at), "floor": np.array([0, 0, 1, 0, 0], dtype=bool)})
+    stopped = Parabola(**{**vars(at), "low": np.array([-np.inf, -np.inf, 0.0, -np.inf, -np.inf])})
     assert averaged(at).best.causes[0] == "cube"
     best = averaged(stopped).best
     assert best is None or "cube" not in best.causes
+
+
+def nearly_alike(room: float) -> Parabola:
+    """A fitted number that can fall by `room`, beside a cause that does nearly the same and of which
+    the cost asks for much."""
+    draw = np.random.default_rng(8)
+    x = draw.normal(size=N)
+    whole = np.stack([x, x + 0.01 * draw.normal(size=N)], axis=1) / NOISE
+    rest = whole @ np.array([-3.0, 3.0]) + 0.1 * draw.normal(size=N)
+    rest -= whole[:, 0] * (whole[:, 0] @ rest) / (whole[:, 0] @ whole[:, 0])
+    prior = np.array([0.0, 1e-2])
+    return Parabola(
+        information=whole.T @ whole + np.diag(prior),
+        gradient=-whole.T @ rest,
+        prior=prior,
+        fitted=[0],
+        causes={"alike": [1]},
+        low=np.array([-room, -np.inf]),
+        high=np.array([np.inf, np.inf]),
+    )
+
+
+def test_an_estimate_moves_no_further_than_its_bounds():
+    form = averaged(nearly_alike(np.inf)).best
+    assert form is not None
+    assert form.shift[0] < -2.0
+    room = -0.9 * form.shift[0]
+    near = nearly_alike(room)
+    kept = averaged(near).best
+    assert kept is not None
+    assert kept.shift[0] == pytest.approx(-room)
+    assert kept.more[0, 0] == 0.0
+    # The cause then goes where the cost with that bound is lowest, and falls by so much less.
+    h, g = near.information, near.gradient
+    size = -(g[1] - h[1, 0] * room) / h[1, 1]
+    assert kept.steps[1][0] == pytest.approx(size)
+
+    def cost(a: float, b: float) -> float:
+        step = np.array([a, b])
+        return float(g @ step + 0.5 * step @ h @ step)
+
+    lost = cost(-room, size) - cost(form.shift[0], form.steps[1][0])
+    assert form.log_odds - kept.log_odds == pytest.approx(lost, rel=1e-6)
+
+
+def test_what_needs_an_impossible_estimate_is_no_rival():
+    assert averaged(nearly_alike(0.01)).best is None
 
 
 def test_a_double_of_what_is_fitted_is_no_rival():
@@ -126,8 +173,8 @@ def test_a_double_of_what_is_fitted_is_no_rival():
         prior=np.array([0.0, 1e-4]),
         fitted=[0],
         causes={"double": [1]},
-        floor=np.zeros(2, dtype=bool),
-        ceiling=np.zeros(2, dtype=bool),
+        low=np.full(2, -np.inf),
+        high=np.full(2, np.inf),
     )
     seen = averaged(at)
     assert seen.best is None
@@ -142,8 +189,8 @@ def test_the_search_ends_after_so_many_causes():
         prior=np.array([0.0, *np.ones(n)]),
         fitted=[0],
         causes={f"c{i}": [1 + i] for i in range(n)},
-        floor=np.zeros(n + 1, dtype=bool),
-        ceiling=np.zeros(n + 1, dtype=bool),
+        low=np.full(n + 1, -np.inf),
+        high=np.full(n + 1, np.inf),
     )
     seen = averaged(at)
     assert seen.best is not None
