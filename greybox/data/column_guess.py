@@ -303,8 +303,8 @@ CUSTOMARY = (
 """Ranges that logs have their commands in."""
 
 
-def _range_of_commands(low: float, high: float) -> tuple[float, float] | None:
-    """The customary range that commands from low to high are in; None for 0 to 1, or none."""
+def range_of_commands(low: float, high: float) -> tuple[float, float] | None:
+    """The customary range that commands from `low` to `high` are in; None for 0 to 1, or none."""
     for least, most in CUSTOMARY:
         if high <= 1.05 * most and low >= least - 0.1 * (most - least):
             return None if (least, most) == (0.0, 1.0) else (least, most)
@@ -329,7 +329,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         if float(np.median(values[:, 2])) < -0.5 * norm:
             frame, why = "FRD", f"{why}, z negative: z is down"
     elif group == "command":
-        limits = _range_of_commands(low, high)
+        limits = range_of_commands(low, high)
     elif group == "rotor_speed":
         unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
         if "erpm" in names[0].lower():
