@@ -262,7 +262,9 @@ def test_a_draft_without_a_clock_says_what_is_to_be_filled_in(
     for clock, told in (("usec", True), ("alpha", False)):
         Path("log.csv").write_text("\n".join([f"{clock},esc1,esc2,esc3,esc4", *rows]))
         main(["inspect", "log.csv", "--draft", "map.toml", "--force"])
-        assert ("fill in [time]" in capsys.readouterr().out) is not told
+        said = capsys.readouterr().out
+        assert ("fill in [time]" in said) is not told
+        assert ("  time: usec, us  (" in said) is told
         text = Path("map.toml").read_text()
         assert ('# field = "NAME OF THE COLUMN"' in text) is not told
         filled = re.sub(r"^# (\[time\]|field|unit)", r"\1", text, flags=re.M)
