@@ -9,7 +9,7 @@ levels fixed, the training flights' mean and spread as prior of each per-flight 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypedDict, final
 
@@ -164,20 +164,7 @@ def adapt_to_flight(
     gain = riccati or Filter(model, use_compiler=use_compiler).riccati
 
     def on(first: float) -> Problem:
-        problem = make_problem(
-            model.dynamics,
-            Dataset(flights=(_first(flight, first),)),
-            predictor=FixedGain(solution=gain),
-            criterion=Gaussian(),
-            free=free,
-            per_flight=free,
-            values=dict(model.values),
-            flight_priors=priors,
-            noise=noise_of(model),
-            estimate_noise=False,
-            use_compiler=use_compiler,
-        )
-        return _beyond_the_filter(problem, gain)
+        return _problem(model, _first(flight, first), free, priors, gain, use_compiler)
 
     problem = on(seconds)
     solver = LevenbergMarquardt(max_iterations=max_iterations)
@@ -202,6 +189,31 @@ def adapt_to_flight(
         x0_sigma=_spread(problem, std, gain),
         warnings=tuple(warnings),
     )
+
+
+def _problem(
+    model: IdentifiedModel,
+    window: Flight,
+    free: Sequence[str],
+    priors: Mapping[str, tuple[float, float]],
+    gain: Riccati,
+    use_compiler: bool,
+) -> Problem:
+    """The fit of a flight's own values and its start to a window."""
+    problem = make_problem(
+        model.dynamics,
+        Dataset(flights=(window,)),
+        predictor=FixedGain(solution=gain),
+        criterion=Gaussian(),
+        free=free,
+        per_flight=free,
+        values=dict(model.values),
+        flight_priors=priors,
+        noise=noise_of(model),
+        estimate_noise=False,
+        use_compiler=use_compiler,
+    )
+    return _beyond_the_filter(problem, gain)
 
 
 def _grown(
