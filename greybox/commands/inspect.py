@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from greybox.commands.console import Console, json_option
 
 if TYPE_CHECKING:
     from greybox.data.column_guess import Guess
-    from greybox.data.document import Allowed, Findings, Uses
+    from greybox.data.document import Allowed, Findings, GuessRow, Uses
     from greybox.data.inspection import Inspection
     from greybox.model.vehicle import Vehicle
 
@@ -77,17 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         **found.to_dict(),
         "effects": effects(found, vehicle),
         "uses": uses(found),
-        "looks_like": [
-            {
-                "group": g.group,
-                "fields": list(g.fields),
-                "unit": g.unit,
-                "frame": g.frame,
-                "limits": g.limits,
-                "why": g.why,
-            }
-            for g in guesses
-        ],
+        "looks_like": guessed(guesses, time),
         "next": [],
     }
     content["next"] = advice(
@@ -113,6 +104,34 @@ def run(arguments: argparse.Namespace) -> int:
     )
     Console.of(arguments).result(content, text(content, every=arguments.all), *csv)
     return 0 if content["uses"]["fit"] else 1
+
+
+def guessed(guesses: Sequence[Guess], time: tuple[str, str] | None) -> list[GuessRow]:
+    """What columns look like, the clock first."""
+    rows: list[GuessRow] = []
+    if guesses and time is not None:
+        rows += [
+            {
+                "group": "time",
+                "fields": [time[0]],
+                "unit": time[1],
+                "frame": "",
+                "limits": None,
+                "why": "grows by the steps of a flight log",
+            }
+        ]
+    rows += [
+        {
+            "group": g.group,
+            "fields": list(g.fields),
+            "unit": g.unit,
+            "frame": g.frame,
+            "limits": g.limits,
+            "why": g.why,
+        }
+        for g in guesses
+    ]
+    return rows
 
 
 def looks(found: Inspection, *, named: bool) -> tuple[tuple[Guess, ...], tuple[str, str] | None]:

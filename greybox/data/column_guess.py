@@ -29,7 +29,7 @@ _WORDS = {
 }
 _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed",
-    "command": r"m|u|motors?|pwm|cmd|command|esc|actuators?|outputs?",
+    "command": r"m|u|motors?|rotors?|pwm|cmd|command|esc|act|actuators?|outputs?",
 }
 _AFTER = r"pwm|cmd|command|output|e?rpm|speed"
 """Words that may stand behind the number of a motor: motor1_pwm."""
@@ -57,6 +57,22 @@ _UNITS = {
 """Units as names of columns say them, "Gyro X (deg/s)", per group; a column with the unit of
 another group is none."""
 _UNIT = re.compile(r"\s*[(\[]\s*([^\d\s)\]][^)\]]*?)\s*[)\]]\s*$")
+_WRITTEN = {
+    form: unit
+    for units in _UNITS.values()
+    for unit in units
+    if unit[0].isascii() and unit[0].isalpha()
+    for plain in (unit.replace("^", ""),)
+    for form in (plain.replace("/", "_"), plain.replace("/", "p"))
+}
+"""How names without signs write a unit behind "_": gyro_x_dps, gyro_x_rad_s, acc_x_m_s2, accz_mps2.
+"""
+_UNIT_WRITTEN = re.compile(
+    rf"(.*(?:[\W_][xyz]|(?:acc|gyro?)[xyz]|\d|roll|pitch|yaw|bat\w*?|volt\w*?))"
+    rf"_({'|'.join(sorted(_WRITTEN, key=len, reverse=True))})",
+    re.IGNORECASE,
+)
+"""Behind an axis or a number or the battery alone: elsewhere a letter is no unit."""
 _ABOUT = r"temp\w*|bias\w*|offsets?|var|variance|std|cov\w*|err\w*|noise|scale|dt|clip\w*|vib\w*"
 """Words of what is said about a sensor and is not its reading."""
 POLE_PAIRS = 7
@@ -119,7 +135,8 @@ def guess_columns(
     for ends in ({"w": 0, "x": 1, "y": 2, "z": 3}, {"roll": 0, "pitch": 1, "yaw": 2}):
         for stem, members in _families(columns, ends):
             if len(members) == len(ends) and not _wanted(stem):
-                take("attitude", [members[i] for i in range(len(ends))])
+                turning = len(ends) == 3 and _says(stem, _WORDS["rate"])
+                take("rate" if turning else "attitude", [members[i] for i in range(len(ends))])
     for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}):
         if len(members) == 3 and not _wanted(stem):
             take(
@@ -227,11 +244,15 @@ def _families(
 
 def _bare(name: str) -> str:
     """A name without the unit that it ends with."""
-    return _UNIT.sub("", name)
+    written = _UNIT_WRITTEN.fullmatch(name)
+    return written[1] if written else _UNIT.sub("", name)
 
 
 def _unit_of(name: str) -> str:
     """The unit that a name ends with, in small letters; "" where it states none."""
+    written = _UNIT_WRITTEN.fullmatch(name)
+    if written:
+        return _WRITTEN[written[2].lower()]
     said = _UNIT.search(name)
     return said[1].lower() if said else ""
 
@@ -282,8 +303,8 @@ CUSTOMARY = (
 """Ranges that logs have their commands in."""
 
 
-def _range_of_commands(low: float, high: float) -> tuple[float, float] | None:
-    """The customary range that commands from low to high are in; None for 0 to 1, or none."""
+def range_of_commands(low: float, high: float) -> tuple[float, float] | None:
+    """The customary range that commands from `low` to `high` are in; None for 0 to 1, or none."""
     for least, most in CUSTOMARY:
         if high <= 1.05 * most and low >= least - 0.1 * (most - least):
             return None if (least, most) == (0.0, 1.0) else (least, most)
@@ -308,7 +329,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         if float(np.median(values[:, 2])) < -0.5 * norm:
             frame, why = "FRD", f"{why}, z negative: z is down"
     elif group == "command":
-        limits = _range_of_commands(low, high)
+        limits = range_of_commands(low, high)
     elif group == "rotor_speed":
         unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
         if "erpm" in names[0].lower():

@@ -9,7 +9,7 @@ levels fixed, the training flights' mean and spread as prior of each per-flight 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypedDict, final
 
@@ -25,6 +25,8 @@ from greybox.estimation.predictors.innovation import StationaryGain
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.settling import RecordGains, held
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.start import Start, vector
+from greybox.estimation.status import Status
 from greybox.estimation.unknown import Unknown
 from greybox.model.identified import IdentifiedModel
 from greybox.statistics.evidence import FELT
@@ -33,6 +35,8 @@ from greybox.validation.horizon import REQUIRED
 
 SECONDS = 5.0
 """Seconds [s] at the beginning of a flight that its own values are taken from."""
+HALVED = 4
+"""Times that the window is halved where the whole of it does not converge."""
 LEFT_TO_JUDGE = 3.0
 """Times the seconds of adaptation that a flight lasts at least: two thirds of it judge."""
 LEFT_STEPS = 2.0
@@ -148,7 +152,6 @@ def adapt_to_flight(
     `riccati` is that of the model's filter, where it is at hand. Raises `DataError` for a flight
     that has no samples there, or is not sampled at the model's rate.
     """
-    window = _first(flight, seconds)
     declared = {d.name: d for d in model.dynamics.parameters}
     names = [n for n in declared if n in model.flight_spread]
     # A parameter that did not vary between the training flights keeps its mean.
@@ -159,21 +162,15 @@ def adapt_to_flight(
     }
     free = [n for n in names if n in priors]
     gain = riccati or Filter(model, use_compiler=use_compiler).riccati
-    problem = make_problem(
-        model.dynamics,
-        Dataset(flights=(window,)),
-        predictor=FixedGain(solution=gain),
-        criterion=Gaussian(),
-        free=free,
-        per_flight=free,
-        values=dict(model.values),
-        flight_priors=priors,
-        noise=noise_of(model),
-        estimate_noise=False,
-        use_compiler=use_compiler,
-    )
-    problem = _beyond_the_filter(problem, gain)
-    theta, status = LevenbergMarquardt(max_iterations=max_iterations).solve(problem, problem.start)
+
+    def on(first: float) -> Problem:
+        return _problem(model, _first(flight, first), free, priors, gain, use_compiler)
+
+    problem = on(seconds)
+    solver = LevenbergMarquardt(max_iterations=max_iterations)
+    theta, status = solver.solve(problem, problem.start)
+    if not status.converged:
+        theta, status = _grown(on, problem, solver, seconds, (theta, status))
     value = problem.evaluate(theta)
     warnings = []
     if not status.converged:
@@ -192,6 +189,58 @@ def adapt_to_flight(
         x0_sigma=_spread(problem, std, gain),
         warnings=tuple(warnings),
     )
+
+
+def _problem(
+    model: IdentifiedModel,
+    window: Flight,
+    free: Sequence[str],
+    priors: Mapping[str, tuple[float, float]],
+    gain: Riccati,
+    use_compiler: bool,
+) -> Problem:
+    """The fit of a flight's own values and its start to a window."""
+    problem = make_problem(
+        model.dynamics,
+        Dataset(flights=(window,)),
+        predictor=FixedGain(solution=gain),
+        criterion=Gaussian(),
+        free=free,
+        per_flight=free,
+        values=dict(model.values),
+        flight_priors=priors,
+        noise=noise_of(model),
+        estimate_noise=False,
+        use_compiler=use_compiler,
+    )
+    return _beyond_the_filter(problem, gain)
+
+
+def _grown(
+    on: Callable[[float], Problem],
+    problem: Problem,
+    solver: LevenbergMarquardt,
+    seconds: float,
+    found: tuple[FloatArray, Status],
+) -> tuple[FloatArray, Status]:
+    """What is lowest: `found`, or where a window ends that grew from a start on, each begun where
+    the one half as long ended.
+
+    A filter that hardly corrects lets a rotor that was not settled turn the craft right round: over
+    seconds no slope leads back, over tenths of a second all is nearly linear.
+    """
+    known: Start = {}
+    for first in seconds / 2.0 ** np.arange(HALVED, 0, -1):
+        shorter = on(float(first))
+        at, _ = solver.solve(shorter, vector(shorter, known))
+        known = {(u.name, u.flight): float(v) for u, v in zip(shorter.unknowns, at, strict=True)}
+    other = solver.solve(problem, vector(problem, known))
+    return min(found, other, key=lambda f: _cost(problem, f[0]))
+
+
+def _cost(problem: Problem, theta: FloatArray) -> float:
+    value = problem.evaluate(theta)
+    return value.cost if value.valid else math.inf
 
 
 def _first(flight: Flight, seconds: float) -> Flight:

@@ -160,7 +160,7 @@ def sanity(
     known = {n: q.value for n, q in vehicle.quantities.items()} | dict(values or {})
     known |= {n: e.value for n, e in estimates.items()}
     found: list[Insane] = []
-    for judge in (_curves, _times, _mass, _inertia, _overruled, _bounds):
+    for judge in (_curves, _times, _mass, _inertia, _overruled, _together, _bounds):
         found += judge(estimates, vehicle, known)
     return Sanity(findings=tuple(sorted(found, key=lambda f: f.severity != "impossible")))
 
@@ -525,6 +525,43 @@ def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterat
             likely=f"the vehicle file's {name} is wrong, or {likely}",
             attempt=f"correct it where nobody measured it; {attempt}",
         )
+
+
+def _together(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
+    """A mass that is wrong: flights show forces and moments per mass, so that thrust, drag torque
+    and inertia are all off by its factor, each within its own error."""
+    own = vehicle.quantities["mass"]
+    if not values["mass"] > 0:
+        return  # said already
+    heavier = math.log(values["mass"] / own.value)
+    told = {
+        n: (math.log(e.value / mean) - heavier, math.hypot(sigma / mean, e.std / e.value))
+        for n, e in estimates.items()
+        if n.startswith(("thrust.", "torque.", "inertia.")) and e.prior is not None
+        for mean, sigma in [e.prior]
+        if min(mean, e.value) > 0 and 0 < sigma < math.inf and math.isfinite(e.std)
+    }
+    kinds = {n.partition(".")[0] for n in told}
+    if not {"thrust", "inertia"} <= kinds:
+        return
+    logs, errors = np.array(list(told.values())).T
+    weights = errors**-2.0
+    common = float(weights @ logs / weights.sum())
+    away = abs(common) / math.hypot(weights.sum() ** -0.5, own.sigma / own.value)
+    alike = bool((np.abs(logs - common) <= LIMITS["errors"].value * errors).all())
+    if away <= LIMITS["sigmas"].value or not alike:
+        return
+    factor = math.exp(common)
+    yield Insane(
+        severity="doubtful",
+        kind="overruled",
+        parameters=("mass",),
+        statement=f"{', '.join(told)} per mass are all about {factor:.2g} times what was "
+        f"stated, {away:.0f} sigma away together",
+        likely=f"the vehicle file's mass is wrong (a craft of {own.value / factor:.2g} kg has "
+        "the others as stated), or all of them are",
+        attempt="weigh the craft",
+    )
 
 
 def _away(name: str, value: float, mean: float, sigma: float) -> float:

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from faults import vehicle
+from scipy.spatial.transform import Rotation
 
 from greybox.data import RawLog
 from greybox.data.checks import CheckReport, check
@@ -44,7 +45,11 @@ def flown(
     for name in ("qw", "qx", "qy", "qz"):
         whole, channels[name] = channels[name], np.full(t.size, np.nan)
         channels[name][posed] = whole[posed]
-    raw = RawLog(
+    return check([logged(t, channels)], vehicle("nanobench"))
+
+
+def logged(t: np.ndarray, channels: dict[str, np.ndarray]) -> RawLog:
+    return RawLog(
         t=t,
         channels=channels,
         extra={},
@@ -53,7 +58,6 @@ def flown(
         source="flown.csv",
         sha256="0" * 64,
     )
-    return check([raw], vehicle("nanobench"))
 
 
 @pytest.mark.parametrize(
@@ -112,3 +116,25 @@ def test_a_delay_is_said_in_time_and_in_rows_of_the_log(monkeypatch: pytest.Monk
     assert float(said[1]) == pytest.approx(40.0, abs=2.0)
     assert float(said[2]) == pytest.approx(20.0, abs=1.0)
     assert "samples" not in found.message
+
+
+@pytest.mark.parametrize("turned", [0.0, 5.0, 20.0])
+def test_a_gyro_that_is_mounted_askew_is_no_clock_that_wanders(turned: float) -> None:
+    """About a level circle the angle is early one way round and late the other."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 20.0, 0.5 / RATE)
+    way = np.where(t < 10.0, 1.0, -1.0)
+    rate = np.column_stack([np.cos(2 * np.pi * t), way * np.sin(2 * np.pi * t), 0.0 * t])
+    attitude = Rotation.identity()
+    poses = []
+    for w in rate:
+        poses.append(attitude.as_quat(scalar_first=True))
+        attitude = attitude * Rotation.from_rotvec(w * 0.5 / RATE)
+    gyro = Rotation.from_euler("z", turned, degrees=True).apply(rate)
+    gyro += GYRO_NOISE * rng.standard_normal(gyro.shape)
+    channels = {f"u{i}": np.full(t.size, 0.6) for i in (1, 2, 3, 4)}
+    channels |= dict(zip(("qw", "qx", "qy", "qz"), np.array(poses).T, strict=True))
+    channels |= dict(zip("pqr", gyro.T, strict=True))
+    report = check([logged(t, channels)], vehicle("nanobench"))
+    assert report.wander < 0.5
+    assert not [f for f in report.of("alignment") if f.severity != "info"]

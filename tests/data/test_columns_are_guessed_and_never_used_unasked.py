@@ -69,6 +69,36 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
         ),
         (["att.roll", "att.pitch", "att.yaw"], [[10, -20, 170]], ("attitude", "deg", None)),
         (["VBAT"], [[15800]], ("battery", "mV", None)),
+        (["batt_mV"], [[15800]], ("battery", "mV", None)),
+        (
+            ["gyro_roll_dps", "gyro_pitch_dps", "gyro_yaw_dps"],
+            [[3, -2, 0.5]],
+            ("rate", "deg/s", None),
+        ),
+        (
+            ["gyro_x_rad_s", "gyro_y_rad_s", "gyro_z_rad_s"],
+            [[30, -200, 50]],
+            ("rate", "rad/s", None),
+        ),
+        (["acc_x_g", "acc_y_g", "acc_z_g"], [[0, 0.1, 1]], ("specific_force", "g", None)),
+        (
+            ["accx_m_s2", "accy_m_s2", "accz_m_s2"],
+            [[0, 0.1, 9.8]],
+            ("specific_force", "m/s^2", None),
+        ),
+        (["vel_x_mps", "vel_y_mps", "vel_z_mps"], [[300, 2, 1]], ("velocity", "m/s", None)),
+        (
+            ["act0", "act1", "act2", "act3"],
+            [[1200, 1100, 1900, 1500]],
+            ("command", "", (1000, 2000)),
+        ),
+        (
+            [f"rotor{i} [%]" for i in (1, 2, 3, 4)],
+            [[12, 11, 100, 15]],
+            ("command", "", (0, 100)),
+        ),
+        ([f"rotor{i}_rpm" for i in (1, 2, 3, 4)], [[12, 11, 19, 15]], ("rotor_speed", "rpm", None)),
+        (["phase_a", "phase_b", "phase_c"], [[1, 2, 3]], None),
         (["temp1", "temp2", "temp3"], [[20, 21, 22]], None),
         (
             [f"ESC {i} (RPM)" for i in (1, 2, 3, 4)],
@@ -232,7 +262,9 @@ def test_a_draft_without_a_clock_says_what_is_to_be_filled_in(
     for clock, told in (("usec", True), ("alpha", False)):
         Path("log.csv").write_text("\n".join([f"{clock},esc1,esc2,esc3,esc4", *rows]))
         main(["inspect", "log.csv", "--draft", "map.toml", "--force"])
-        assert ("fill in [time]" in capsys.readouterr().out) is not told
+        said = capsys.readouterr().out
+        assert ("fill in [time]" in said) is not told
+        assert ("  time: usec, us  (" in said) is told
         text = Path("map.toml").read_text()
         assert ('# field = "NAME OF THE COLUMN"' in text) is not told
         filled = re.sub(r"^# (\[time\]|field|unit)", r"\1", text, flags=re.M)

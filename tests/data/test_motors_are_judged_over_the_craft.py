@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
 from greybox.data.checks import check
 from tests.data.faults import exchanged, real, scaled, vehicle
 
@@ -19,6 +22,22 @@ def test_all_flights_are_told_the_same() -> None:
     assert len({f.message for f in found}) == 1
     assert all(f.severity == "blocking" and f.evidence["flights"] == 3 for f in found)
     assert "u1 drives rotor 2, u2 drives rotor 1" in found[0].message
+
+
+@pytest.mark.parametrize("angle", [45.0, -45.0, 135.0])
+def test_a_plus_that_was_taken_for_an_x_is_a_turned_layout(angle: float) -> None:
+    """Turned by half the angle between two rotors the torques agree by half, which alone looks
+    right."""
+    craft, (c, s) = vehicle(SET), (np.cos(np.radians(angle)), np.sin(np.radians(angle)))
+    rotors = tuple(
+        replace(r, position=(c * x - s * y, s * x + c * y, z))
+        for r in craft.rotors
+        for x, y, z in (r.position,)
+    )
+    found = check([real(SET, f) for f in FLIGHTS], replace(craft, rotors=rotors)).of("motors")
+    assert [f.flight for f in found] == list(FLIGHTS)
+    assert all(f.severity == "blocking" and "as in X for +" in f.message for f in found)
+    assert all("turn them by 45 deg" in f.fix for f in found)
 
 
 def test_one_flight_with_another_order_is_named_and_does_not_condemn_the_craft() -> None:

@@ -127,6 +127,15 @@ def test_a_quaternion_read_wrongly_is_named_in_whatever_frame_it_is_logged(
         assert words in found.message and "[columns.attitude]" in found.fix
 
 
+def test_an_accelerometer_upside_down_accuses_no_world_frame() -> None:
+    raw = real(SET, FLIGHT)
+    turned_over = {n: -raw.channels[n] for n in ("ay", "az", "q", "r")}
+    report = check([replace(raw, channels={**raw.channels, **turned_over})], vehicle(SET))
+    assert any("thrust acts along -z" in f.message for f in report.of("gravity"))
+    assert not report.of("acceleration")
+    assert any(u.check == "acceleration" and "see gravity" in u.reason for u in report.not_judged)
+
+
 @pytest.mark.parametrize(
     ("body", "world"),
     [

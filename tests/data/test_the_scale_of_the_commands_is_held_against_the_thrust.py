@@ -66,6 +66,18 @@ def test_commands_that_begin_elsewhere_name_their_range_whatever_the_thrust(flow
     assert "in the log" in found.message
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (1000.0, 2000.0), (0.0, 65535.0)])
+def test_a_range_that_nobody_stated_is_told_by_the_values_and_by_the_thrust(flown, low, high):
+    raw, craft = flown
+    report = check([in_range(raw, low, high)], craft)
+    fixes = {f.fix for f in report.of("ranges") if "channel u" in f.where}
+    assert fixes == {
+        f"give the range of the commands: [columns.command] limits = [{low:g}, {high:g}]?"
+    }
+    for found in report.of("thrust"):
+        assert "limits = [" not in found.fix or f"limits = [{low:g}, {high:g}]" in found.fix
+
+
 def test_a_top_of_another_unit_is_found_too(flown):
     raw, craft = flown
     (found,) = said(in_range(raw, 1000 / 65535, 2000 / 65535), craft)

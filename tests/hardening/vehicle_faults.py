@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_parts import Rotor
 
@@ -20,6 +22,16 @@ def _moved(x: float, y: float) -> Callable[[Vehicle], Vehicle]:
             replace(r, position=(x * r.position[0], y * r.position[1], r.position[2])) for r in rs
         ]
     )
+
+
+def _turned(degrees: float) -> Callable[[Vehicle], Vehicle]:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+
+    def turn(r: Rotor) -> Rotor:
+        x, y, z = r.position
+        return replace(r, position=(c * x - s * y, s * x + c * y, z))
+
+    return _rotors(lambda rs: [turn(r) for r in rs])
 
 
 def _mass(factor: float) -> Callable[[Vehicle], Vehicle]:
@@ -49,6 +61,7 @@ VEHICLE_FAULTS: dict[str, Callable[[Vehicle], Vehicle]] = {
     "rotor places in cm": _moved(100.0, 100.0),
     "rotor y to the right": _moved(1.0, -1.0),
     "rotor x to the rear": _moved(-1.0, 1.0),
+    "X written as +": _turned(45.0),
     "mass in g": _mass(1e3),
     "inertia in g m^2": _inertia(1e3),
     "inertia in kg cm^2": _inertia(1e4),

@@ -80,6 +80,29 @@ def test_a_weighed_mass_that_the_flights_deny_is_a_statement_about_thrust():
     assert "ratio" in other.likely and "free thrust" not in other.attempt
 
 
+@pytest.mark.parametrize(
+    ("thrust", "inertia", "said"),
+    [
+        (0.54, 0.52, True),
+        (1.7, 1.7, True),
+        (0.54, 1.0, False),
+        (1.0, 0.5, False),
+        (0.9, 0.9, False),
+    ],
+)
+def test_a_mass_that_is_wrong_is_told_by_all_that_it_scales(thrust, inertia, said):
+    """Each is within four sigma of a number that nobody measured."""
+    names = ("thrust.c2", "torque.c2", "inertia.xx", "inertia.yy", "inertia.zz")
+    factors = (thrust, *(inertia,) * 4)
+    found = judged(
+        *(estimate(n, f * CRAFT.quantities[n].value) for n, f in zip(names, factors, strict=True))
+    ).findings
+    assert [f.parameters for f in found] == [("mass",)] * said
+    assert all(
+        "weigh the craft" in f.attempt and "sigma away together" in f.statement for f in found
+    )
+
+
 @pytest.mark.parametrize(("sigmas", "said"), [(3.9, False), (4.1, True), (-4.1, True)])
 def test_a_prior_counts_as_denied_beyond_four_sigma(sigmas, said):
     q = CRAFT.quantities["inertia.xx"]

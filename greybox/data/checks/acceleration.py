@@ -19,6 +19,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greybox.data.checks.attitude import MEND, quaternion_readings
+from greybox.data.checks.gravity import axis_of_thrust
 from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.motion import in_body_axes
 from greybox.data.checks.relations import Reading
@@ -68,6 +69,9 @@ def streams(view: View) -> Streams | str:
     dt, quaternions = view.dt, view.group("attitude")
     measured, moving = view.has("specific_force"), view.has("velocity")
     force = view.group("specific_force") if measured else _thrust(view)
+    if measured and axis_of_thrust(force) != "+z":
+        # A force upside down looks like a world that is mirrored.
+        return "the accelerometer's z is not up (see gravity)"
     track = view.group("velocity" if moving else "position")
     n = length_of(SPAN / dt, between=track, of=force)
     quaternions = attitude_joined_up(quaternions, n // BRIDGED)

@@ -77,7 +77,7 @@ def _apart_axes(view: View, told: Delays) -> dict[str, tuple[float, float]]:
     is more than what they clearly differ by, and where all together are not late."""
     if _known(view, told) and not _sure(told):
         return {}
-    each = {name: delays(view, [axis]) for axis, name in enumerate("pqr")}
+    each = {name: delays(view, [axis], told.mounting) for axis, name in enumerate("pqr")}
     axes = {
         n: (d.quantile(0.5), d.middle_error())
         for n, d in each.items()

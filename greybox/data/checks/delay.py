@@ -45,11 +45,12 @@ HALF_WINDOW = 0.02
 class Delays:
     """How late the gyro is against the attitude, window by window: `time` (K,) [s] of the middle,
     `late` (K,) [samples], `error` (K,) [samples], its standard error (infinite where the rates do
-    not tell it)."""
+    not tell it). `mounting` (3, 3) took the attitude's rates to the gyro's axes."""
 
     time: FloatArray
     late: FloatArray
     error: FloatArray
+    mounting: FloatArray
 
     @property
     def count(self) -> int:
@@ -64,6 +65,7 @@ class Delays:
             time=self.time[a],
             late=self.late[a] - other.late[b],
             error=np.hypot(self.error[a], other.error[b]),
+            mounting=self.mounting,
         )
 
     def _weights(self, variance: float) -> FloatArray:
@@ -118,13 +120,45 @@ class Delays:
         return float(np.polyfit(since, self.late, 1, w=np.sqrt(self.weights))[0])
 
 
-def delays(view: View, axes: Sequence[int] = (0, 1, 2)) -> Delays:
-    """The delay in every window in which gyro and attitude are alike about these body axes."""
+def delays(
+    view: View, axes: Sequence[int] = (0, 1, 2), mounting: FloatArray | None = None
+) -> Delays:
+    """The delay in every window in which gyro and attitude are alike about these body axes.
+
+    A gyro that is turned against the attitude shows of each axis some of the others, which are
+    early or late: `mounting` (3, 3) turns the attitude's rates to its axes, by default as the
+    flight tells it.
+    """
     half = max(1, round(HALF_WINDOW / view.dt))
-    gyro = smoothed(bridged(view.group("rate"), half), half)[:, list(axes)]
-    quaternions = view.group("attitude")
-    rate = attitude_rate(attitude_joined_up(quaternions, 2 * half), view.dt, half)[:, list(axes)]
-    alone = 2 * half + pace(quaternions)  # rows over which the noise of a mean is alike
+    gyro = smoothed(bridged(view.group("rate"), half), half)
+    rate = attitude_rate(attitude_joined_up(view.group("attitude"), 2 * half), view.dt, half)
+    if mounting is not None:
+        return _in_windows(view, gyro, rate @ mounting.T, list(axes), mounting)
+    told = _in_windows(view, gyro, rate, [0, 1, 2], np.eye(3))
+    if not told.count:
+        return _in_windows(view, gyro, rate, list(axes), np.eye(3))
+    mounting = _mounting(gyro, shifted(rate, round(told.quantile(0.5))))
+    return _in_windows(view, gyro, rate @ mounting.T, list(axes), mounting)
+
+
+def _mounting(gyro: FloatArray, rate: FloatArray) -> FloatArray:
+    """The rotation (3, 3) that takes rates (N, 3) to those of the gyro, by least squares (Kabsch,
+    Acta Crystallographica A 32, 1976)."""
+    known = np.isfinite(np.column_stack([gyro, rate])).all(axis=1)
+    if not known.any():
+        return np.eye(3)
+    left, _, right = np.linalg.svd(centred(gyro[known]).T @ centred(rate[known]))
+    left[:, 2] *= np.sign(np.linalg.det(left @ right))
+    return np.asarray(left @ right)
+
+
+def _in_windows(
+    view: View, gyro: FloatArray, rate: FloatArray, axes: Sequence[int], mounting: FloatArray
+) -> Delays:
+    """The delays about axes of the gyro that the rates (N, 3) of both tell."""
+    half = max(1, round(HALF_WINDOW / view.dt))
+    gyro, rate = gyro[:, axes], rate[:, axes]
+    alone = 2 * half + pace(view.group("attitude"))  # rows whose means have noise in common
     length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
     time = view.time
     lags = np.arange(-reach, reach + 1)
@@ -143,7 +177,7 @@ def delays(view: View, axes: Sequence[int] = (0, 1, 2)) -> Delays:
             error = max(error, _spread(scores, lags, late, len(axes) * length / alone))
             out.append((float(np.nanmean(time[rows])), late, error))
     found = np.array(out).reshape(-1, 3)
-    return Delays(time=found[:, 0], late=found[:, 1], error=found[:, 2])
+    return Delays(time=found[:, 0], late=found[:, 1], error=found[:, 2], mounting=mounting)
 
 
 def _spread(scores: FloatArray, lags: IntArray, late: float, samples: float) -> float:

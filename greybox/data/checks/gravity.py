@@ -38,6 +38,13 @@ def _finding(
     )
 
 
+def axis_of_thrust(force: FloatArray) -> str:
+    """The axis along which a specific force (N, 3) points on average: "+z" where it is ours."""
+    mean = np.nanmean(force, axis=0)
+    axis = int(np.argmax(np.abs(mean)))
+    return f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
+
+
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on the accelerometer's unit and signs, and on the direction of up."""
     if not view.has("specific_force"):
@@ -65,14 +72,13 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         return
     if (wrong := _wrong_unit(size)) is not None:
         yield _finding(view, *wrong, evidence, where)
-    axis = int(np.argmax(np.abs(mean)))
-    if axis != 2 or mean[2] < 0:
-        shown = f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
+    shown = axis_of_thrust(known)
+    if shown != "+z":
         text = f"thrust acts along {shown} of the accelerometer, not along +z"
         fix = (
             "say which axes: frame = 'FRD' in [columns.specific_force] and [columns.rate] (x "
             "forward, y right, z down)"
-            if axis == 2
+            if shown == "-z"
             else "turn the fields of [columns.specific_force] and [columns.rate] to forward, left, "
             "up"
         ) + "; specific force at rest is (0, 0, +9.81)"

@@ -167,43 +167,78 @@ def _told(
     ]
 
 
-def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | None:
-    """What is wrong with the order of the commands (or rotor speeds) `names`; None where the one
-    given agrees or nothing fits far better."""
+def _turned(promised: FloatArray, angle: float) -> FloatArray:
+    """The directions (3, n) of a layout that is turned by an angle [rad] about z."""
+    roll, pitch, yaw = promised
+    c, s = np.cos(angle), np.sin(angle)
+    return directions(np.stack([c * roll - s * pitch, c * pitch + s * roll, yaw]))
+
+
+def _best_order(total: Sums, promised: FloatArray) -> tuple[int, ...]:
+    """The order of the rotors that agrees best, as given where another is not better."""
     n = promised.shape[1]
-    table = "[columns.command]" if command_names(names) else "[columns.rotor_speed]"
-    agreement = sums.total.agreement(promised)[:, 0]
-    evidence = {f"agreement_{a}": float(c) for a, c in zip(AXES, agreement, strict=True)}
     orders = itertools.permutations(range(n)) if n <= MOST_ROTORS else iter([tuple(range(n))])
-    total = sums.total
     weights = np.array([1.0, 1.0, 0.1])
-    order = max(orders, key=lambda o: float(weights @ total.agreement(promised[:, o])[:, 0]))
-    best = total.agreement(promised[:, order])[:, 0]
+
+    def score(order: tuple[int, ...]) -> tuple[float, int]:
+        agrees = float(weights @ total.agreement(promised[:, order])[:, 0])
+        return round(agrees, 9), sum(i == j for i, j in enumerate(order))
+
+    return max(orders, key=score)
+
+
+def _far_better(sums: Sums, other: FloatArray, given: FloatArray) -> bool:
+    """Whether other directions agree, and leave far less than the given ones."""
 
     def left(part: Sums) -> FloatArray:
-        """What the other order leaves as a share of what the given one does. Its error is that of
-        the share: a logarithm is the less certain, the better the other fits."""
-        other, given = (
-            1.0 - part.agreement(p)[:2].mean(axis=0) for p in (promised[:, order], promised)
-        )
-        return np.asarray((other + LEAST) / (given + LEAST))
+        """What the other leaves as a share of what the given one does. Its error is that of the
+        share: a logarithm is the less certain, the better the other fits."""
+        of, over = (1.0 - part.agreement(p)[:2].mean(axis=0) for p in (other, given))
+        return np.asarray((of + LEAST) / (over + LEAST))
 
-    far = float(left(total)[0]) + CLEAR * jackknife(left(sums.left_out)) < LEFT
-    moved = [f"{names[i]} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
+    agrees = bool((sums.total.agreement(other)[:2, 0] >= AGREE).all())
+    return agrees and float(left(sums.total)[0]) + CLEAR * jackknife(left(sums.left_out)) < LEFT
+
+
+def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | None:
+    """What is wrong with the order of the commands (or rotor speeds) `names`, or with the layout
+    of the rotors; None where the one given agrees or nothing fits far better.
+
+    A layout that is turned by half the angle between two rotors, X for +, agrees by half.
+    """
+    n, total = promised.shape[1], sums.total
+    table = "[columns.command]" if command_names(names) else "[columns.rotor_speed]"
+    agreement = total.agreement(promised)[:, 0]
+    evidence = {f"agreement_{a}": float(c) for a, c in zip(AXES, agreement, strict=True)}
     says = (
         f"(of what the commands explain, roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} "
         "where +1 is right)"
     )
-    fix = (
-        f"compare rotor positions and the fields of {table} with the craft, and the "
-        "signs of the axes of gyro or attitude"
-    )
-    evidence["agreement_other_order"] = float(best[:2].mean())
-    if moved and far and bool((best[:2] >= AGREE).all()):
+    order = _best_order(total, promised)
+    best = total.agreement(promised[:, order])[:2, 0]
+    evidence["agreement_other_order"] = float(best.mean())
+    where = f"{names[0]}.. against p, q, r"
+    turns = [_turned(promised, angle) for angle in (np.pi / n, -np.pi / n)]
+    turned = [p[:, _best_order(total, p)] for p in turns]
+    layout = max(range(2), key=lambda k: float(total.agreement(turned[k])[:2, 0].sum()))
+    if _far_better(sums, turned[layout], promised[:, order]):
+        evidence["agreement_turned"] = float(total.agreement(turned[layout])[:2, 0].mean())
+        return Verdict(
+            claim="turned",
+            severity="blocking",
+            where=where,
+            message="the rotors stand half way between the places that the file states, as in X "
+            f"for + {says}",
+            evidence=evidence,
+            fix=f"correct the positions of [[rotor]]: turn them by {180 / n:g} deg about z; then "
+            "see what is said of their order",
+        )
+    moved = [f"{names[i]} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
+    if moved and _far_better(sums, promised[:, order], promised):
         return Verdict(
             claim=", ".join(moved),
             severity="blocking",
-            where=f"{names[0]}.. against p, q, r",
+            where=where,
             message=f"the motor order is wrong: {', '.join(moved)} {says}",
             evidence=evidence,
             fix=f"reorder the fields of {table} or the [[rotor]] tables (or correct the "
@@ -214,11 +249,12 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     return Verdict(
         claim="poor",
         severity="warning",
-        where=f"{names[0]}.. against p, q, r",
+        where=where,
         message=f"the torques of the commands fit the rotor positions poorly {says}, and no other "
         "order fits far better",
         evidence=evidence,
-        fix=fix,
+        fix=f"compare rotor positions and the fields of {table} with the craft, and the "
+        "signs of the axes of gyro or attitude",
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from greybox.data.channel import channel, group_names
 from greybox.data.checks.finding import Check, Finding, Severity, per_flight
 from greybox.data.checks.view import View
+from greybox.data.column_guess import range_of_commands
 from greybox.data.impossible import OUTSIDE, OVERSPEED, SPIKES, lowest, top_speed
 
 BLOCKING_SHARE = 0.01
@@ -61,7 +62,11 @@ def run(view: View) -> Iterator[Finding]:
                 where=f"channel {name}, row {log.rows[outside[0]]}",
                 message=f"{outside.size} value(s) outside {low:g} .. {high:g}{unit}",
                 evidence={"rows": int(outside.size), "share": share, "worst": float(worst)},
-                fix=FIXES.get(declared.group, "check the unit in [columns]"),
+                fix=(
+                    _range_of(view)
+                    if declared.group == "command" and share > BLOCKING_SHARE
+                    else FIXES.get(declared.group, "check the unit in [columns]")
+                ),
             )
     yield from _removed(view)
     names = group_names("attitude")
@@ -79,6 +84,21 @@ def run(view: View) -> Iterator[Finding]:
                 evidence={"rows": int(bad.size), "share": share, "first_norm": float(norm[bad[0]])},
                 fix="leave the cells empty where the attitude was lost; check the column names",
             )
+
+
+def _range_of(view: View) -> str:
+    """The range to state for commands that are outside of 0 to 1: a customary one that holds them
+    all, where the file states none."""
+    source = view.vehicle.columns.sources.get("command")
+    stated = source is not None and source.limits is not None
+    values = [v for n, v in view.raw.channels.items() if channel(n).group == "command"]
+    usual = range_of_commands(
+        min(float(np.nanmin(v)) for v in values), max(float(np.nanmax(v)) for v in values)
+    )
+    if stated or usual is None:
+        return FIXES["command"]
+    low, high = usual
+    return f"give the range of the commands: [columns.command] limits = [{low:g}, {high:g}]?"
 
 
 def _removed(view: View) -> Iterator[Finding]:

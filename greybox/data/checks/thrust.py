@@ -45,6 +45,8 @@ UNIT = 10.0
 LEVEL = 0.15
 """Standard deviation of the log of thrust over what any file says: air, battery, ground, a rotor
 that is weaker than the others."""
+SHARES = np.linspace(0.0, 1.0, 1001)
+"""Commands at which the file's map is looked up."""
 FEWEST = 200
 """Fewer samples judge nothing."""
 NEVER = 50.0
@@ -153,11 +155,6 @@ class _Map:
         c0, c1, c2 = self.thrust
         nu = (1.0 - self.curve) * u + self.curve * u**2
         return c0 + nu * (c1 + c2 * nu)
-
-    def power(self, u: float) -> float:
-        """The power of the command with which thrust grows there."""
-        at, beside = (float(self.promised(np.array(v))) for v in (u, 1.01 * u))
-        return math.log(beside / at) / math.log(1.01) if min(at, beside) > 0 else 0.0
 
     def spread(self, u: float) -> float:
         """Standard deviation of the log of thrust over weight at a mean command."""
@@ -311,16 +308,17 @@ def _begins(vehicle: Airframe, known: _Map, sums: Sums) -> Verdict | None:
 
 
 def _full(known: _Map, u: float, low: float, level: float) -> float:
-    """The command at which the rotors turn fully, where they stand at `low`; 1 where the file's
-    thrust may as well make the difference."""
-    at = (u - low) / (1.0 - low)
-    if at <= 0.0 or (power := known.power(at)) <= 0.0:
-        return 1.0
-    there = float(known.promised(np.array(at))) / float(known.promised(np.array(u)))
-    over = math.log(max(level / max(there, 1e-300), 1e-300))
-    if abs(over) <= CLEAR * known.spread(at):
-        return 1.0
-    return low + (1.0 - low) * math.exp(-over / power)
+    """The command at which the rotors turn fully, where they stand at `low` and u carries the
+    craft; 1 where the file's thrust may as well make the difference."""
+    carries = level * float(known.promised(np.array(u)))
+    if low < 1.0:
+        at = (u - low) / (1.0 - low)
+        there = max(float(known.promised(np.array(at))), 1e-300)
+        if abs(math.log(max(carries, 1e-300) / there)) <= CLEAR * known.spread(at):
+            return 1.0
+    made = np.maximum.accumulate(known.promised(SHARES))
+    share = float(np.interp(carries, made, SHARES))
+    return low + (u - low) / share if share > 0.0 and u > low else 1.0
 
 
 def _limits(vehicle: Airframe) -> tuple[float, float] | None:
