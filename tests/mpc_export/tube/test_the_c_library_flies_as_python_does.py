@@ -167,7 +167,9 @@ def test_its_heading_gives_way_as_that_of_the_controller_in_python_does(tmp_path
         x[names.index("disturbance.torque.z")] = 8e-5 * (k > 10)
         y = f["h"](x, u, f.parameter_values).full().ravel().astype(np.float32).astype(float)
         rows.append(y)
-        commands.append(own.sample(k * own.model.sample_time, dict(zip(own.columns, y))).copy())
+        commands.append(
+            own.sample(k * own.model.sample_time, dict(zip(own.estimator.columns, y))).copy()
+        )
         adrift += own._adrift
         x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), commands[-1]
     assert 20 < adrift < 80
@@ -184,7 +186,7 @@ def test_an_estimate_that_takes_over_is_that_of_python(tmp_path):
     x, u, off, taken = own.estimate.copy(), own.u.copy(), [], []
     for k in range(60):
         y = f["h"](x, u, f.parameter_values).full().ravel()
-        measured = dict(zip(own.columns, y)) | {"x": y[0] + 0.4 * (30 <= k < 36)}
+        measured = dict(zip(own.estimator.columns, y)) | {"x": y[0] + 0.4 * (30 <= k < 36)}
         u_next = own.sample(0.01 * k, measured).copy()
         flown.sample(0.01 * k, measured)
         off.append(np.abs(flown.estimate - own.estimate).max())
