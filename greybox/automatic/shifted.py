@@ -190,4 +190,14 @@ def _parabola(lasting: LastingPushes, pushes: Sequence[Felt]) -> Parabola:
         causes[name] = range(n, n + len(each.push.names))
         n += len(each.push.names)
     loose = np.flatnonzero(~held).tolist()
-    return Parabola.about(value.data_hessian, value.gradient, prior, loose, causes)
+    far = np.full(wide.n - small.n, np.inf)
+    below, above = wide.lower - at, wide.upper - at
+    return Parabola.about(
+        value.data_hessian,
+        value.gradient,
+        prior,
+        loose,
+        causes,
+        low=np.concatenate([np.minimum(below[: small.n], 0.0), -far]),
+        high=np.concatenate([np.maximum(above[: small.n], 0.0), far]),
+    )

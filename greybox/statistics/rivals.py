@@ -88,8 +88,8 @@ class Parabola:
 class Form:
     """A set of causes: log of its odds against the fit without any, the `shift` (m,) of the fitted
     unknowns with them, what not knowing their size adds to the covariance (m, m), and by place of
-    a cause how far it goes, with the standard error of that (`steps`). `kept_back`: what bounds of
-    the fitted unknowns take from the log odds."""
+    a cause how far it goes, with the standard error of that (`steps`). `kept_back`: what the cost
+    falls less because unknowns stop at their bounds."""
 
     causes: tuple[str, ...]
     log_odds: float
@@ -165,24 +165,25 @@ def _form(
     if not own:
         return None
     gain, told = _gain(at, [*at.fitted, *others], own)
-    rows = [*others, *own]
-    stopped, kept_back = _stopped(at, rows)
-    kept_back /= told
+    stopped, kept_back = _stopped(at, [*others, *own])
+    if stopped.keys() >= {*own}:
+        return None
+    rows = [i for i in (*others, *own) if i not in stopped]
     rest = [i for i in at.fitted if i not in stopped]
     gradient = at.gradient + at.information[:, [*stopped]] @ np.array([*stopped.values()])
     information, score, moved = _projected(replace(at, gradient=gradient), rest, rows)
     errors = _errors(at, rest, rows, information, moved)
     back = np.linalg.solve(information, score)
     along = -_inverse(at, rest) @ at.information[np.ix_(rest, [*stopped])]
-    shift, place = np.zeros(len(at.fitted)), [at.fitted.index(i) for i in rest]
-    shift[[at.fitted.index(i) for i in stopped]] = [*stopped.values()]
+    shift = np.array([stopped.get(i, 0.0) for i in at.fitted])
+    place = [at.fitted.index(i) for i in rest]
     shift[place] = moved @ back + along @ np.array([*stopped.values()])
     more = np.zeros((shift.size, shift.size))
     more[np.ix_(place, place)] = moved @ np.linalg.solve(information, moved.T)
-    odds = 0.0 if before is None else before.log_odds + before.kept_back
+    odds, known = (0.0, 0.0) if before is None else (before.log_odds, before.kept_back)
     return Form(
         causes=(*there, name),
-        log_odds=odds + gain - price - kept_back,
+        log_odds=odds + gain - price - max(kept_back - known, 0.0) / told,
         shift=shift,
         more=more,
         steps={i: (-float(b), e) for i, b, e in zip(rows, back, errors, strict=True)},
@@ -191,16 +192,19 @@ def _form(
 
 
 def _stopped(at: Parabola, rows: Sequence[int]) -> tuple[dict[int, float], float]:
-    """(the fitted unknowns that the causes at `rows` move to a bound, with their steps; what the
-    cost falls less because of that)."""
+    """(the unknowns that reach a bound where the causes at `rows` move what is fitted, with their
+    steps; what the cost falls less because of that). Pulls that fitted unknowns have of their own
+    are no cause's."""
     stopped: dict[int, float] = {}
-    fall = 0.0
+    fall, fitted = 0.0, [*at.fitted]
+    pull = _inverse(at, fitted) @ at.gradient[fitted]
+    gradient = at.gradient - at.information[:, fitted] @ pull
     while True:
-        free = [i for i in (*at.fitted, *rows) if i not in stopped]
+        free = [i for i in (*fitted, *rows) if i not in stopped]
         at_bound, steps = [*stopped], np.array([*stopped.values()])
-        slope = at.gradient + at.information[:, at_bound] @ steps
+        slope = gradient + at.information[:, at_bound] @ steps
         step = -_inverse(at, free) @ slope[free]
-        own = at.gradient[at_bound] + 0.5 * at.information[np.ix_(at_bound, at_bound)] @ steps
+        own = gradient[at_bound] + 0.5 * at.information[np.ix_(at_bound, at_bound)] @ steps
         new = -0.5 * float(slope[free] @ step) - float(own @ steps)
         if not stopped:
             fall = new
@@ -208,7 +212,7 @@ def _stopped(at: Parabola, rows: Sequence[int]) -> tuple[dict[int, float], float
         share = {
             i: (at.low[i] if s < 0 else at.high[i]) / s
             for i, s in zip(free, step, strict=True)
-            if i not in rows and not at.low[i] <= s <= at.high[i]
+            if not at.low[i] <= s <= at.high[i]
         }
         if not share:
             return stopped, max(fall - new, 0.0)

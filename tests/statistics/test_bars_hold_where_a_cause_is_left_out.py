@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.statistics.rivals import TOGETHER, Parabola, averaged
+from greybox.statistics.rivals import TOGETHER, Parabola, _form, averaged
 
 N, NOISE, WORLDS = 400, 0.3, 200
 PRIOR = 1.0
@@ -154,6 +154,53 @@ def test_an_estimate_moves_no_further_than_its_bounds():
 
     lost = cost(-room, size) - cost(form.shift[0], form.steps[1][0])
     assert form.log_odds - kept.log_odds == pytest.approx(lost, rel=1e-6)
+
+
+def together(first: str, second: str) -> float:
+    """Log odds of two causes, one nearly the same as a bounded estimate and with coloured scores,
+    taken up in this order."""
+    likely = nearly_alike(2.0)
+    h, g, prior = np.eye(3) * 400.0, np.array([0.0, 0.0, -120.0]), np.array([0.0, 1e-2, 1e-2])
+    h[:2, :2], g[:2] = likely.information, likely.gradient
+    scatter = np.diag(np.diag(h)) @ np.diag([1.0, 10.0, 1.0])
+    scatter[:2, :2] = 10.0 * h[:2, :2]
+    far = np.full(3, np.inf)
+    at = Parabola(
+        information=h,
+        gradient=g,
+        prior=prior,
+        fitted=[0],
+        causes={"alike": [1], "other": [2]},
+        low=np.array([-2.0, -np.inf, -np.inf]),
+        high=far,
+        scatter=scatter,
+    )
+    felt = at.felt()
+    form = _form(at, felt, _form(at, felt, None, first, 0.0), second, 0.0)
+    assert form is not None
+    return form.log_odds
+
+
+def test_what_a_bound_takes_is_charged_once_in_any_order():
+    assert together("alike", "other") == pytest.approx(together("other", "alike"), abs=1.0)
+
+
+@pytest.mark.parametrize("pull", [0.0, -20.0, -60.0])
+def test_a_pull_of_an_estimate_itself_is_charged_to_no_cause(pull):
+    far = np.full(2, np.inf)
+    at = Parabola(
+        information=np.diag([100.0, 100.0]),
+        gradient=np.array([pull, -60.0]),
+        prior=np.array([0.0, 1.0]),
+        fitted=[0],
+        causes={"apart": [1]},
+        low=-far,
+        high=np.array([0.1, np.inf]),
+    )
+    form = averaged(at).best
+    assert form is not None
+    assert form.log_odds == pytest.approx(0.5 * 36 - 0.5 * np.log(100.0))
+    assert form.shift[0] == 0.0
 
 
 def test_what_needs_an_impossible_estimate_is_no_rival():
