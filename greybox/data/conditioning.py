@@ -1,8 +1,9 @@
 """Conditioning: from a raw log to segments on a uniform clock. Everything that is done is said in
 the flight's notes.
 
-A missing sample becomes missing cells (NaN); only commands are carried over it, because a command
-holds until the next one. A longer gap ends the segment.
+A missing sample becomes missing cells (NaN); only commands are carried over it: they hold until the
+next one, and those that a lost row took along lie between their neighbours. A longer gap ends the
+segment.
 """
 
 from __future__ import annotations
@@ -260,8 +261,8 @@ def _with_drive(
     """Over at most `max_gap` [s] fill in the commands `names`, or the rotor speeds that drive in
     their place; break the segments where they stay unknown.
 
-    A line is drawn between rotor speeds, and between commands where whole rows are lost that took
-    a command along. Commands that rows lack otherwise are held: none was sent.
+    A line is drawn between rotor speeds, and between commands where a row is lost in which one was
+    due. Commands that rows lack otherwise are held: none was sent.
     """
     if not names:
         return pieces, []
@@ -284,8 +285,10 @@ def _with_drive(
             usable = known | between
             carried = np.where(known, values, line)
         else:
-            row_lost = np.isnan(piece.matrix(piece.names)).all(axis=1, keepdims=True)
-            unknown = between & row_lost & _sent_with_every_row(known)
+            row_lost = np.asarray(np.isnan(piece.matrix(piece.names)).all(axis=1))
+            due = last + (index - last) // _rows_apart(known) * _rows_apart(known)
+            unknown = between & row_lost[due] & (due > last)
+            line = np.take_along_axis(line, due, axis=0)
             carried = np.where(unknown, line, carried)
             drawn += int(unknown.any(axis=1).sum())
         filled += int((usable & ~known).any(axis=1).sum())
@@ -313,11 +316,10 @@ def _with_drive(
     return out, notes
 
 
-def _sent_with_every_row(known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """(K,) whether a command usually comes with the row after the one of the command before it, of
-    `known` (n, K)."""
+def _rows_apart(known: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """(K,) how many rows usually lie from one command to the next, of `known` (n, K)."""
     rows = [np.flatnonzero(column) for column in known.T]
-    return np.array([r.size > 1 and np.median(np.diff(r)) == 1 for r in rows])
+    return np.array([int(np.median(np.diff(r))) if r.size > 1 else 1 for r in rows])
 
 
 def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) -> Flight:

@@ -164,8 +164,7 @@ def _widened(
     one of the `runners` has run (None: another flight's)."""
     assert block.jacobian is not None
     assert block.covariance_slope is not None
-    # A larger model may look further back at commands: its patterns are more, of lost rows long
-    # before.
+    # The larger model's filter may take longer to settle: one sample stands for every group.
     groups = range(len(block.covariance_slope))
     alike = {r: np.array([r.example(i, block.pattern == g) for g in groups]) for r in {*runners}}
     moved = [(j, c, runners[j]) for j, c in enumerate(columns) if c is not None]

@@ -24,7 +24,7 @@ from greybox.estimation.gain import Riccati
 from greybox.estimation.predictors.innovation import StationaryGain
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.settling import RecordGains, held
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.levenberg_marquardt import ARRIVED, LevenbergMarquardt
 from greybox.estimation.start import Start, vector
 from greybox.estimation.status import Status
 from greybox.estimation.unknown import Unknown
@@ -224,18 +224,21 @@ def _grown(
     found: tuple[FloatArray, Status],
 ) -> tuple[FloatArray, Status]:
     """What is lowest: `found`, or where a window ends that grew from a start on, each begun where
-    the one half as long ended.
+    the one half as long ended. Of two that are as low the one that converged.
 
     A filter that hardly corrects lets a rotor that was not settled turn the craft right round: over
     seconds no slope leads back, over tenths of a second all is nearly linear.
     """
     known: Start = {}
-    for first in seconds / 2.0 ** np.arange(HALVED, 0, -1):
+    windows = seconds / 2.0 ** np.arange(HALVED, 0, -1)
+    # Fewer samples than unknowns are no start.
+    for first in windows[windows >= problem.n * problem.dt]:
         shorter = on(float(first))
         at, _ = solver.solve(shorter, vector(shorter, known))
         known = {(u.name, u.flight): float(v) for u, v in zip(shorter.unknowns, at, strict=True)}
     other = solver.solve(problem, vector(problem, known))
-    return min(found, other, key=lambda f: _cost(problem, f[0]))
+    higher = _cost(problem, other[0]) - _cost(problem, found[0])
+    return other if higher < (ARRIVED if other[1].converged else 0.0) else found
 
 
 def _cost(problem: Problem, theta: FloatArray) -> float:

@@ -7,9 +7,7 @@ that flight finds?
 MODEL is a file of `greybox fit` with per-flight parameters, LOG flights that it was not fitted to.
 Each is exported as `greybox export MODEL.json --with adapt` does it; the C is compiled and flown
 once over the first seconds of each flight, beside the batch estimate (maximum a posteriori, as
-`greybox validate --adapt`) from the same seconds, the same filter and the same prior. A log may have
-lost rows with their commands, for which `validate` doubts the samples after them; in flight no
-command is lost, and neither estimate here doubts them.
+`greybox validate --adapt`) from the same seconds, the same filter and the same prior.
 """
 
 from __future__ import annotations

@@ -214,6 +214,16 @@ def test_a_lost_row_without_a_command_leaves_the_last_one_standing():
     assert segment.column("u1") == pytest.approx(np.sin(0.1 * (k - k % 2)))
 
 
+def test_a_lost_command_of_a_slow_stream_lies_between_its_neighbours_from_where_it_was_due():
+    k = np.arange(200)
+    sent = np.where(k % 3 == 0, np.sin(0.1 * k), np.nan)
+    kept = k != 60
+    (segment,) = condition(raw_log(k[kept] * 0.01, u1=sent[kept], p=k[kept]), trim=False).segments
+    expected = np.sin(0.1 * (k - k % 3))
+    expected[60:63] = 0.5 * (np.sin(5.7) + np.sin(6.3))
+    assert segment.column("u1") == pytest.approx(expected)
+
+
 def test_a_command_of_a_kept_row_that_has_none_is_held():
     k = np.arange(200)
     u = np.where(k == 50, np.nan, np.sin(0.1 * k))

@@ -4,6 +4,7 @@ craft right round within seconds, from where no slope leads back."""
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from greybox.data import Segment
 from greybox.estimation.engine import engine_for
@@ -18,7 +19,9 @@ from tests.validation.test_validate_judges_causally import COLUMNS, DT, dataset,
 UNSETTLED = np.array([-0.12, 0.05, 0.1, -0.06])
 
 
-def test_windows_that_grow_find_the_rotors_that_one_window_does_not():
+@pytest.fixture(scope="module")
+def made():
+    """A model whose filter hardly corrects, a flight of it, and its start, with rotors unsettled."""
     vehicle = read_vehicle(vehicle_path("nanobench"))
     dynamics = PhysicsModel(
         vehicle=vehicle,
@@ -55,7 +58,21 @@ def test_windows_that_grow_find_the_rotors_that_one_window_does_not():
     channels = dict(zip(COLUMNS, measured.T, strict=True))
     channels |= {f"u{i + 1}": u[:, i] for i in range(4)}
     (flight,) = dataset(Segment(t=t, channels=channels, flight="f"))
+    return model, flight, start
+
+
+def test_windows_that_grow_find_the_rotors_that_one_window_does_not(made):
+    model, flight, start = made
+    dynamics = model.dynamics
     found = adapt_to_flight(model, flight, 4.0)
     assert found.warnings == ()
     rotors = [i for i, s in enumerate(dynamics.states.names) if "rotor" in s]
     np.testing.assert_allclose(found.x0[rotors], start[rotors], atol=0.02)
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.1])
+def test_a_window_too_short_to_grow_ends_with_a_warning(made, seconds):
+    model, flight, _ = made
+    found = adapt_to_flight(model, flight, seconds, max_iterations=1)
+    assert found.warnings
+    assert "NOT converged" in found.warnings[0]
