@@ -304,10 +304,14 @@ CUSTOMARY = (
 
 
 def range_of_commands(low: float, high: float) -> tuple[float, float] | None:
-    """The customary range that commands from `low` to `high` are in; None for 0 to 1, or none."""
+    """The customary range that commands from `low` to `high` fill; None for 0 to 1, or none.
+
+    The narrowest that holds them, by some slack, or no other: a wider one holds everything.
+    """
     for least, most in CUSTOMARY:
         if high <= 1.05 * most and low >= least - 0.1 * (most - least):
-            return None if (least, most) == (0.0, 1.0) else (least, most)
+            fills = low >= least and high - least > 0.5 * (most - least)
+            return (least, most) if fills and (least, most) != (0.0, 1.0) else None
     return None
 
 

@@ -61,6 +61,9 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
             [[1200, 1000, 1900, 1500]],
             ("command", "", (1000, 2000)),
         ),
+        (["cmd1", "cmd2", "cmd3", "cmd4"], [[0, 8, 3, 4]], ("command", "", None)),
+        (["cmd1", "cmd2", "cmd3", "cmd4"], [[-1, 1, 0.3, 0.4]], ("command", "", None)),
+        (["cmd1", "cmd2", "cmd3", "cmd4"], [[0, 838, 300, 400]], ("command", "", None)),
         (["esc_0", "esc_1", "esc_2", "esc_3"], [[0.2, 0.4, 0.9, 0.5]], ("command", "", None)),
         (
             ["rpm1", "rpm2", "rpm3", "rpm4"],
