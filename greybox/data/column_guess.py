@@ -31,6 +31,8 @@ _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed",
     "command": r"m|u|motors?|rotors?|pwm|cmd|command|esc|act|actuators?|outputs?",
 }
+_ROTOR = r"rotors?"
+"""A word of commands that may mean a speed, too."""
 _AFTER = r"pwm|cmd|command|output|e?rpm|speed"
 """Words that may stand behind the number of a motor: motor1_pwm."""
 _OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*|thrusts?|forces?|torques?|moments?"
@@ -130,6 +132,8 @@ def guess_columns(
             group = next((g for g, words in _NUMBERED.items() if _says(stem, words)), "")
             if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
                 group = "rotor_speed"
+            if group == "command" and not _commanded(stem, members.values(), columns):
+                continue
             if group and not (group == "rotor_speed" and _wanted(stem)):
                 take(group, [members[i] for i in sorted(members)])
     for ends in ({"w": 0, "x": 1, "y": 2, "z": 3}, {"roll": 0, "pitch": 1, "yaw": 2}):
@@ -268,6 +272,18 @@ def _wanted(stem: str) -> bool:
     return any(re.fullmatch(_WORDS["setpoint"], word) for word in re.split(r"[\W_]+", stem))
 
 
+def _commanded(stem: str, names: Iterable[str], columns: Mapping[str, FloatArray]) -> bool:
+    """Whether columns with a word of commands are some: a rotor without a unit may be a speed, but
+    where its values are shares or percent."""
+    names = tuple(names)
+    *before, last = re.split(r"[\W_]+", stem)
+    said = any(re.fullmatch(_NUMBERED["command"], word) for word in before)
+    if said or not re.fullmatch(_ROTOR, last) or _unit_of(names[0]) in _UNITS["command"]:
+        return True
+    known = np.concatenate([columns[n][np.isfinite(columns[n])] for n in names])
+    return bool(known.size) and known.min() >= 0.0 and known.max() <= 100.0
+
+
 def _meant(stem: str) -> str:
     """The group that the stem of three axes says; a setpoint is one of the position, where it says
     of what. "": none."""
@@ -304,10 +320,14 @@ CUSTOMARY = (
 
 
 def range_of_commands(low: float, high: float) -> tuple[float, float] | None:
-    """The customary range that commands from `low` to `high` are in; None for 0 to 1, or none."""
+    """The customary range that commands from `low` to `high` fill; None for 0 to 1, or none.
+
+    The narrowest that holds them, by some slack, or no other: a wider one holds everything.
+    """
     for least, most in CUSTOMARY:
         if high <= 1.05 * most and low >= least - 0.1 * (most - least):
-            return None if (least, most) == (0.0, 1.0) else (least, most)
+            fills = low >= least and high - least > 0.5 * (most - least)
+            return (least, most) if fills and (least, most) != (0.0, 1.0) else None
     return None
 
 

@@ -136,6 +136,24 @@ def test_an_accelerometer_upside_down_accuses_no_world_frame() -> None:
     assert any(u.check == "acceleration" and "see gravity" in u.reason for u in report.not_judged)
 
 
+@pytest.mark.parametrize("left", [(0.1, 0.0, 0.0), (0.0, 0.0, -0.1), (0.0, 0.0, 0.1)])
+def test_without_gravity_neither_axes_nor_a_world_are_accused(
+    left: tuple[float, float, float],
+) -> None:
+    """The mean force is chance then, and so is its largest axis: "not up" would be said of a z that
+    is."""
+    raw, craft = real(SET, FLIGHT), vehicle(SET)
+    force = {
+        n: raw.channels[n] - np.nanmean(raw.channels[n]) + bias
+        for n, bias in zip(("ax", "ay", "az"), left, strict=True)
+    }
+    report = check([replace(raw, channels={**raw.channels, **force})], craft)
+    assert any("gravity was taken out" in f.message for f in report.of("gravity"))
+    assert not report.of("acceleration")
+    reasons = [u.reason for u in report.not_judged if u.check == "acceleration"]
+    assert reasons == ["the force has no lasting direction (see gravity)"]
+
+
 @pytest.mark.parametrize(
     ("body", "world"),
     [

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from faults import real, scaled, vehicle, with_channels
 
 from greybox.data import read_table
 from greybox.data.checks import check
+from greybox.data.checks.ranges import FIXES
 from greybox.data.readers.mapping import mapping_of
 from greybox.examples import SETS, flight_paths
 from greybox.excitation import FigureEight, rich_excitation
@@ -76,6 +78,20 @@ def test_a_range_that_nobody_stated_is_told_by_the_values_and_by_the_thrust(flow
     }
     for found in report.of("thrust"):
         assert "limits = [" not in found.fix or f"limits = [{low:g}, {high:g}]" in found.fix
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-1.0, 1.0), (0.0, 1.5), (0.0, 8.0), (0.0, 838.0), (900.0, 1900.0)]
+)
+def test_a_range_that_the_commands_do_not_fill_is_not_proposed(flown, low, high):
+    """A range that merely holds the values makes every gain wrong, and the gyro is accused of it."""
+    raw, craft = flown
+    first = raw.channels["u1"]
+    u = {n: np.clip(raw.channels[n], 0.0, 1.0) for n in COMMANDS}
+    u["u1"] = np.where(np.arange(first.size) % 2, 1.0, 0.0)  # the whole range is used
+    report = check([in_range(with_channels(raw, **u), low, high)], craft)
+    fixes = {f.fix for f in report.of("ranges") if "channel u" in f.where}
+    assert fixes == {FIXES["command"]}
 
 
 def test_a_top_of_another_unit_is_found_too(flown):

@@ -69,9 +69,11 @@ def streams(view: View) -> Streams | str:
     dt, quaternions = view.dt, view.group("attitude")
     measured, moving = view.has("specific_force"), view.has("velocity")
     force = view.group("specific_force") if measured else _thrust(view)
-    if measured and axis_of_thrust(force) != "+z":
-        # A force upside down looks like a world that is mirrored.
-        return "the accelerometer's z is not up (see gravity)"
+    if measured and (axis := axis_of_thrust(force)) != "+z":
+        # A force upside down looks like a world that is mirrored, one without gravity like a world
+        # that is turned.
+        what = "the accelerometer's z is not up" if axis else "the force has no lasting direction"
+        return f"{what} (see gravity)"
     track = view.group("velocity" if moving else "position")
     n = length_of(SPAN / dt, between=track, of=force)
     quaternions = attitude_joined_up(quaternions, n // BRIDGED)

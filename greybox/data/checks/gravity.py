@@ -16,6 +16,9 @@ from greybox.frames import GRAVITY, numeric
 FAST = 0.2
 """Vertical motion below this [m/s RMS] shows nothing."""
 
+STRAIGHT = 0.6
+"""Straightness below which no lasting direction is seen."""
+
 DEEP = 0.1
 """Flying this far [m] below the ground means that z points down."""
 
@@ -38,9 +41,20 @@ def _finding(
     )
 
 
+def straightness(force: FloatArray) -> float:
+    """Length of the mean of a specific force (N, 3) over its usual length: 1 where it always points
+    the same way, 0 without samples."""
+    known = force[np.isfinite(force).all(axis=1)]
+    size = float(np.median(np.linalg.norm(known, axis=1))) if known.size else 0.0
+    return float(np.linalg.norm(known.mean(axis=0))) / size if size > 0 else 0.0
+
+
 def axis_of_thrust(force: FloatArray) -> str:
-    """The axis along which a specific force (N, 3) points on average: "+z" where it is ours."""
-    mean = np.nanmean(force, axis=0)
+    """The axis along which a specific force (N, 3) points on average: "+z" where it is ours, ""
+    where it has no lasting direction, as without gravity."""
+    if straightness(force) < STRAIGHT:
+        return ""
+    mean = force[np.isfinite(force).all(axis=1)].mean(axis=0)
     axis = int(np.argmax(np.abs(mean)))
     return f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
 
@@ -61,18 +75,18 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     size = float(np.median(np.linalg.norm(known, axis=1)))
     mean = known.mean(axis=0)
     evidence = {"median_size": size, "mean_x": mean[0], "mean_y": mean[1], "mean_z": mean[2]}
-    straight = float(np.linalg.norm(mean)) / size if size > 0 else 0.0
-    where = "ax, ay, az"
-    if straight < 0.6:
+    shown, where = axis_of_thrust(known), "ax, ay, az"
+    if not shown:
         text = "the specific force has no lasting direction: gravity was taken out"
         fix = (
             "log the raw accelerometer (it reads +9.81 at rest), not the acceleration of the craft"
         )
-        yield _finding(view, "blocking", text, fix, {**evidence, "straightness": straight}, where)
+        yield _finding(
+            view, "blocking", text, fix, {**evidence, "straightness": straightness(known)}, where
+        )
         return
     if (wrong := _wrong_unit(size)) is not None:
         yield _finding(view, *wrong, evidence, where)
-    shown = axis_of_thrust(known)
     if shown != "+z":
         text = f"thrust acts along {shown} of the accelerometer, not along +z"
         fix = (

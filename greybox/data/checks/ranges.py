@@ -87,8 +87,8 @@ def run(view: View) -> Iterator[Finding]:
 
 
 def _range_of(view: View) -> str:
-    """The range to state for commands that are outside of 0 to 1: a customary one that holds them
-    all, where the file states none."""
+    """The range to state for commands that are outside of 0 to 1: a customary one that they
+    fill, where the file states none."""
     source = view.vehicle.columns.sources.get("command")
     stated = source is not None and source.limits is not None
     values = [v for n, v in view.raw.channels.items() if channel(n).group == "command"]
