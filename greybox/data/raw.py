@@ -25,6 +25,8 @@ def is_numeric(column: Column) -> TypeGuard[FloatArray]:
 
 LARGEST = float(np.finfo(np.float32).max)
 """No sensor writes more; the square of more than its square overflows."""
+SMALLEST = float(np.finfo(np.float32).tiny)
+"""No sensor writes less but zero, whose square is no number either."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +87,8 @@ class RawLog:
 
 
 def measurable(raw: RawLog) -> RawLog:
-    """`raw`, with values beyond `LARGEST` as the infinite ones that they are for every sum of
-    squares.
+    """`raw`, with values beyond `LARGEST` as the infinite ones, and below `SMALLEST` as the zeros,
+    that they are for every sum of squares.
 
     Raises `DataError` for what is no log: no rows, no channels, columns of other lengths, stamps
     that are no numbers.
@@ -121,4 +123,8 @@ def measurable(raw: RawLog) -> RawLog:
         for n, at in huge.items()
         if at.any()
     }
+    for name, values in raw.channels.items():
+        nothing = (values != 0) & (np.abs(values) < SMALLEST)
+        if nothing.any():
+            new[name] = np.where(nothing, 0.0, new.get(name, values))
     return replace(raw, channels={**raw.channels, **new}) if new else raw

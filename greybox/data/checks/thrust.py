@@ -245,7 +245,7 @@ def _verdict(vehicle: Airframe, sums: Sums) -> Verdict | None:
     wrong = not level > 0.0 or abs(math.log(level)) > CLEAR * known.spread(u)
     impossible = wrong and not 1.0 / UNIT < level < UNIT
     said = "the file makes no thrust of these commands"
-    if level > 0.0:
+    if 0.0 < level < math.inf:
         said = f"the thrust that carries the craft is {level:.2g} times what the file makes of "
         said += "the commands"
     begun = _begins(vehicle, known, sums)
