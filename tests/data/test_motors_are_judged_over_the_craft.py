@@ -10,6 +10,7 @@ import pytest
 
 from greybox.data.checks import check
 from tests.data.faults import exchanged, real, scaled, vehicle
+from tests.hardening.channel_faults import A, W, linear, tilted, yaw
 
 SET = "nanobench"
 FLIGHTS = ("B2_circle_medium_rep1", "B2_circle_slow_rep1", "B3_figure8_fast_rep1")
@@ -38,6 +39,18 @@ def test_a_plus_that_was_taken_for_an_x_is_a_turned_layout(angle: float) -> None
     assert [f.flight for f in found] == list(FLIGHTS)
     assert all(f.severity == "blocking" and "as in X for +" in f.message for f in found)
     assert all("turn them by 45 deg" in f.fix for f in found)
+
+
+@pytest.mark.parametrize("degrees", [45.0, -45.0])
+def test_a_board_that_is_yawed_is_named_beside_the_layout(degrees: float) -> None:
+    """Gyro, accelerometer and attitude of a board that sits askew on the craft give the torques of
+    a turned layout: which of both it is the log does not tell."""
+    flights = [linear(yaw(degrees), W, A)(real(SET, f)) for f in FLIGHTS]
+    askew = tilted((0.0, 0.0, -np.radians(degrees)), left=False)
+    found = check([askew(raw) for raw in flights], vehicle(SET)).of("motors")
+    assert [f.flight for f in found] == list(FLIGHTS)
+    assert all("as in X for +" in f.message for f in found)
+    assert all("[[rotor]]" in f.fix and "or the axes of the gyro" in f.fix for f in found)
 
 
 def test_one_flight_with_another_order_is_named_and_does_not_condemn_the_craft() -> None:

@@ -204,7 +204,8 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
     """What is wrong with the order of the commands (or rotor speeds) `names`, or with the layout
     of the rotors; None where the one given agrees or nothing fits far better.
 
-    A layout that is turned by half the angle between two rotors, X for +, agrees by half.
+    A layout that is turned by half the angle between two rotors, X for +, agrees by half. A gyro
+    that is yawed by as much gives the same torques.
     """
     n, total = promised.shape[1], sums.total
     table = "[columns.command]" if command_names(names) else "[columns.rotor_speed]"
@@ -227,11 +228,11 @@ def _order(sums: Sums, promised: FloatArray, names: Sequence[str]) -> Verdict | 
             claim="turned",
             severity="blocking",
             where=where,
-            message="the rotors stand half way between the places that the file states, as in X "
-            f"for + {says}",
+            message="by the torques the rotors stand half way between the places that the file "
+            f"states, as in X for + {says}",
             evidence=evidence,
-            fix=f"correct the positions of [[rotor]]: turn them by {180 / n:g} deg about z; then "
-            "see what is said of their order",
+            fix=f"correct the positions of [[rotor]] (turn them by {180 / n:g} deg about z) or the "
+            "axes of the gyro or attitude; then see what is said of their order",
         )
     moved = [f"{names[i]} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
     if moved and _far_better(sums, promised[:, order], promised):
