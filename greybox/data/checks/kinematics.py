@@ -140,7 +140,7 @@ def _of_streams(relation: Relation, view: View, streams: Streams) -> Related | s
         return "one of the streams stands still"
     other, witness = streams.apart, streams.witness
     return Related(
-        streams=streams,
+        streams=replace(streams, readings=()),  # as long as the flight, and summed up
         tried=_tried(streams.readings, view.dt, spans, given[0]),
         prompt=moments(first, spans, view.dt, np.array([0]), given[1]),
         size=size,
