@@ -9,7 +9,7 @@ must settle; `greybox check` tries the rest.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,20 +122,8 @@ def guess_columns(
             group = _meant(stem)
             if group:
                 take(group, [members[i] for i in range(3)])
-    for stem, members in _families(columns, {str(i): i for i in range(13)}):
-        first = min(members)
-        if (
-            first in (0, 1)
-            and set(members) == set(range(first, first + len(members)))
-            and 3 <= len(members) <= 8
-        ):
-            group = next((g for g, words in _NUMBERED.items() if _says(stem, words)), "")
-            if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
-                group = "rotor_speed"
-            if group == "command" and not _commanded(stem, members.values(), columns):
-                continue
-            if group and not (group == "rotor_speed" and _wanted(stem)):
-                take(group, [members[i] for i in sorted(members)])
+    for group, numbered in _by_number(columns):
+        take(group, numbered)
     for ends in ({"w": 0, "x": 1, "y": 2, "z": 3}, {"roll": 0, "pitch": 1, "yaw": 2}):
         for stem, members in _families(columns, ends):
             if len(members) == len(ends) and not _wanted(stem):
@@ -151,13 +139,8 @@ def guess_columns(
         group = next((g for g in ("velocity", "position") if _says(stem, _WORDS[g])), "")
         if group and len(members) == 3 and not _wanted(stem):
             take(group, [members[i] for i in range(3)])
-    for name in columns:
-        low = name.lower()
-        volts = re.search(r"v_?bat|volt", low) or (
-            "bat" in low and _unit_of(name) in _UNITS["battery"]
-        )
-        if volts and not re.search(r"temp|curr|perc|pct|(?<![a-z])soc(?![a-z])", low):
-            take("battery", [name])
+    for name in filter(_battery, columns):
+        take("battery", [name])
     left_out = set(without)
     return _framed(
         _sized(
@@ -168,6 +151,27 @@ def guess_columns(
         for group in (*_NUMBERED, "battery", "attitude", *_WORDS)
         if group in found and group not in left_out
     )
+
+
+def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[str]]]:
+    """(group, names) of columns that are numbered from 0 or 1 on, one a rotor."""
+    for stem, members in _families(columns, {str(i): i for i in range(13)}):
+        first, count = min(members), len(members)
+        if first not in (0, 1) or not 3 <= count <= 8 or max(members) != first + count - 1:
+            continue
+        group = next((g for g, words in _NUMBERED.items() if _says(stem, words)), "")
+        if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
+            group = "rotor_speed"
+        if group == "command" and not _commanded(stem, members.values(), columns):
+            continue
+        if group and not (group == "rotor_speed" and _wanted(stem)):
+            yield group, [members[i] for i in sorted(members)]
+
+
+def _battery(name: str) -> bool:
+    low = name.lower()
+    volts = re.search(r"v_?bat|volt", low) or ("bat" in low and _unit_of(name) in _UNITS["battery"])
+    return bool(volts) and not re.search(r"temp|curr|perc|pct|(?<![a-z])soc(?![a-z])", low)
 
 
 def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:

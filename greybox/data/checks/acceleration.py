@@ -62,18 +62,11 @@ def streams(view: View) -> Streams | str:
 
     Means are left out: a bias, or an attitude that is off by a few degrees.
     """
-    if not view.has("attitude"):
-        return "no attitude"
-    if not (view.has("velocity") or view.has("position")):
-        return "no velocity or position"
+    force = _specific_force(view)
+    if isinstance(force, str):
+        return force
     dt, quaternions = view.dt, view.group("attitude")
     measured, moving = view.has("specific_force"), view.has("velocity")
-    force = view.group("specific_force") if measured else _thrust(view)
-    if measured and (axis := axis_of_thrust(force)) != "+z":
-        # A force upside down looks like a world that is mirrored, one without gravity like a world
-        # that is turned.
-        what = "the accelerometer's z is not up" if axis else "the force has no lasting direction"
-        return f"{what} (see gravity)"
     track = view.group("velocity" if moving else "position")
     n = length_of(SPAN / dt, between=track, of=force)
     quaternions = attitude_joined_up(quaternions, n // BRIDGED)
@@ -120,6 +113,25 @@ def streams(view: View) -> Streams | str:
         where=f"{'vx, vy, vz' if moving else 'x, y, z'} against {'ax..az' if measured else 'u1..'} "
         "with qw..qz",
     )
+
+
+def _specific_force(view: View) -> FloatArray | str:
+    """Specific force (N, 3), that of the rotors where none is measured, or why it tells nothing of
+    the motion."""
+    if not view.has("attitude"):
+        return "no attitude"
+    if not (view.has("velocity") or view.has("position")):
+        return "no velocity or position"
+    if not view.has("specific_force"):
+        return _thrust(view)
+    force = view.group("specific_force")
+    axis = axis_of_thrust(force)
+    if axis == "+z":
+        return force
+    # A force upside down looks like a world that is mirrored, one without gravity like a world that
+    # is turned.
+    what = "the accelerometer's z is not up" if axis else "the force has no lasting direction"
+    return f"{what} (see gravity)"
 
 
 def _worlds(
