@@ -27,7 +27,7 @@ from greybox.estimation.lasting_pushes import Felt, Lasting, LastingPushes
 from greybox.estimation.problem import Problem
 from greybox.estimation.result import Fit
 from greybox.statistics.lasting import MOST, TRIM
-from greybox.statistics.rivals import Parabola, likeliest
+from greybox.statistics.rivals import Parabola, likeliest, room
 from greybox.symbolic import FloatArray
 
 SIZE = 10.0
@@ -190,14 +190,7 @@ def _parabola(lasting: LastingPushes, pushes: Sequence[Felt]) -> Parabola:
         causes[name] = range(n, n + len(each.push.names))
         n += len(each.push.names)
     loose = np.flatnonzero(~held).tolist()
-    far = np.full(wide.n - small.n, np.inf)
-    below, above = wide.lower - at, wide.upper - at
+    low, high = room(at, wide.lower, wide.upper, np.arange(wide.n) < small.n)
     return Parabola.about(
-        value.data_hessian,
-        value.gradient,
-        prior,
-        loose,
-        causes,
-        low=np.concatenate([np.minimum(below[: small.n], 0.0), -far]),
-        high=np.concatenate([np.maximum(above[: small.n], 0.0), far]),
+        value.data_hessian, value.gradient, prior, loose, causes, low=low, high=high
     )

@@ -38,7 +38,7 @@ from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of, with_physics
 from greybox.model.model import PhysicsModel
 from greybox.statistics.evidence import FELT
-from greybox.statistics.rivals import Averaged, Form, Parabola, averaged, price_of
+from greybox.statistics.rivals import Averaged, Form, Parabola, averaged, price_of, room
 from greybox.symbolic import BoolArray, FloatArray
 
 UNKNOWN = "no craft has that: a clock, a sign or the form of the model is wrong"
@@ -118,14 +118,15 @@ def _parabola(
     bounded = np.array([m not in at_null and m.split(".")[0] not in past for m in names])
     loose = [*np.flatnonzero(~held).tolist(), *range(n, wide.n)]
     scores = value.scores
+    low, high = room(at, wide.lower, wide.upper, bounded)
     parabola = Parabola.about(
         value.data_hessian,
         gradient,
         prior,
         loose,
         places,
-        low=np.where(bounded, np.minimum(wide.lower - at, 0.0), -np.inf),
-        high=np.where(bounded, np.maximum(wide.upper - at, 0.0), np.inf),
+        low=low,
+        high=high,
         scatter=None
         if not found.coloured or scores is None or len(scores) < FEWEST_BLOCKS
         else scores.T @ scores,

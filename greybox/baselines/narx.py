@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.baselines.regressors import Choice, Data, Lags, Point, Space, segments_of
+from greybox.baselines.regressors import Choice, Data, Lags, Space, segments_of
 from greybox.data import Segment
 from greybox.errors import FileFormatError, ModelError
 from greybox.files import checksum, read_json, to_plain, well_formed, write_json
@@ -49,7 +49,7 @@ class NARXReport(TypedDict, total=False):
     seed: int
     samples: int
     training: TrainingDocument
-    search: list[Point]
+    search: list[dict[str, Choice]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -286,7 +286,8 @@ def _with_drive(
             carried = np.where(known, values, line)
         else:
             row_lost = np.asarray(np.isnan(piece.matrix(piece.names)).all(axis=1))
-            due = last + (index - last) // _rows_apart(known) * _rows_apart(known)
+            apart = _rows_apart(known)
+            due = last + (index - last) // apart * apart
             unknown = between & row_lost[due] & (due > last)
             line = np.take_along_axis(line, due, axis=0)
             carried = np.where(unknown, line, carried)

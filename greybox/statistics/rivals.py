@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 TOGETHER = 6
 """Causes of one set at most: the later ones rest on a parabola about the fit without any."""
@@ -107,6 +108,15 @@ class Averaged:
     spread: FloatArray
     shift: FloatArray
     best: Form | None
+
+
+def room(
+    at: FloatArray, lower: FloatArray, upper: FloatArray, bounded: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """(low, high) (n,) of a parabola about `at` (n,): how far each unknown may step to its bounds,
+    without end where it is not `bounded`."""
+    low, high = np.minimum(lower - at, 0.0), np.maximum(upper - at, 0.0)
+    return np.where(bounded, low, -np.inf), np.where(bounded, high, np.inf)
 
 
 def price_of(at: Parabola) -> float:
@@ -286,11 +296,7 @@ def _projected(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(information (k, k) on the unknowns at `rows` with their priors, score (k,), move (m, k) of
     those at `rest` against one unit of each), those at `rest` projected out."""
-    size = np.sqrt(np.maximum(np.diag(at.information), 1e-300))
-    unit, slope = at.information / np.outer(size, size), at.gradient / size
-    inner = np.linalg.pinv(unit[np.ix_(rest, rest)], rcond=1e-12, hermitian=True)
-    moved = inner @ unit[np.ix_(rest, rows)]
-    information = unit[np.ix_(rows, rows)] - unit[np.ix_(rest, rows)].T @ moved
-    score = slope[rows] - moved.T @ slope[rest]
-    own = size[rows]
-    return information * np.outer(own, own), score * own, moved * own / size[rest][:, None]
+    across = at.information[np.ix_(rest, rows)]
+    moved = _inverse(at, rest) @ across
+    information = at.information[np.ix_(rows, rows)] - across.T @ moved
+    return information, at.gradient[rows] - moved.T @ at.gradient[rest], moved

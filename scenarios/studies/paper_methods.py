@@ -285,7 +285,10 @@ def gp_narx(bench: Bench) -> Outcome:
     ]
     spent = time.process_time() - began
     return _black_box(
-        bench, found, [min(c["validation"] for c in f.report["search"]) for f in found], spent
+        bench,
+        found,
+        [min(float(c["validation"]) for c in f.report["search"]) for f in found],
+        spent,
     )
 
 

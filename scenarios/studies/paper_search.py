@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,16 +15,42 @@ from greybox.baselines.lstm_train import SPACE as LSTM_SPACE
 from greybox.baselines.lstm_train import LSTMSettings, train_lstm
 from greybox.baselines.narx import SPACE as NARX_SPACE
 from greybox.baselines.narx import NARXModel, fit_narx
-from greybox.baselines.regressors import Data, Point, Space, segments_of
+from greybox.baselines.regressors import Choice, Data, Point, Space, segments_of
 from greybox.errors import DataError
 
+Model = TypeVar("Model", LSTMModel, NARXModel)
+Said = dict[str, Choice]
 
-def _drawn(space: Space, budget: int, seed: int) -> list[Point]:
-    """So many points of a grid, drawn without repetition. Raises `DataError` for none."""
+
+def _best(
+    space: Space,
+    budget: int,
+    seed: int,
+    trained: Callable[[int, Point], tuple[Model, float, Said]],
+    progress: Callable[[str], None] | None,
+) -> Model:
+    """The best of `budget` points of a grid, drawn without repetition. `trained` makes of a
+    candidate's number and point its model, its error on validation flights and what else is said of
+    it. Raises `DataError` for a budget of none, and where no error is finite."""
     if budget < 1:
         raise DataError(f"a search of {budget} candidates", expected="at least 1")
     grid = [dict(zip(space, values)) for values in itertools.product(*space.values())]
-    return [grid[i] for i in np.random.default_rng(seed).permutation(len(grid))[:budget]]
+    best: Model | None = None
+    lowest, seconds, tried = float("inf"), 0.0, list[Said]()
+    for number, k in enumerate(np.random.default_rng(seed).permutation(len(grid))[:budget]):
+        model, error, said = trained(number, grid[k])
+        seconds += model.train_seconds
+        tried.append({**grid[k], "validation": error, **said})
+        if progress:
+            progress(f"candidate {number + 1} of {budget}: {tried[-1]}")
+        if error < lowest:
+            best, lowest = model, error
+    if best is None:
+        raise DataError(
+            "no candidate of the search predicts the validation data",
+            fix="validate on longer segments",
+        )
+    return replace(best, train_seconds=seconds, report={**best.report, "search": tried})
 
 
 def search_lstm(
@@ -44,9 +71,8 @@ def search_lstm(
     `train_seconds` is that of all of them together; `report["search"]` lists every candidate with
     its error. Raises `DataError` for a budget of none, and data without a complete past.
     """
-    best: LSTMModel | None = None
-    tried, seconds = [], 0.0
-    for number, drawn in enumerate(_drawn(LSTM_SPACE, budget, seed)):
+
+    def trained(number: int, drawn: Point) -> tuple[LSTMModel, float, Said]:
         point = dict(drawn)
         window = point.pop("window")
         settings = LSTMSettings(n_a=window, n_b=window, newest=newest, epochs=epochs, **point)
@@ -59,20 +85,9 @@ def search_lstm(
             seed=seed + number,
             progress=progress,
         )
-        seconds += model.train_seconds
-        tried.append(
-            {
-                **drawn,
-                "validation": model.report["validation"],
-                "epochs": model.report["epochs"],
-            }
-        )
-        if progress:
-            progress(f"candidate {number + 1} of {budget}: {tried[-1]}")
-        if best is None or model.report["validation"] < best.report["validation"]:
-            best = model
-    assert best is not None
-    return replace(best, train_seconds=seconds, report={**best.report, "search": tried})
+        return model, model.report["validation"], {"epochs": model.report["epochs"]}
+
+    return _best(LSTM_SPACE, budget, seed, trained, progress)
 
 
 def search_narx(
@@ -96,10 +111,8 @@ def search_narx(
     spread = np.nanvar(
         np.concatenate([s.matrix(tuple(outputs)) for s in segments_of(train)]), axis=0
     )
-    best: NARXModel | None = None
-    lowest, seconds = float("inf"), 0.0
-    tried: list[Point] = []
-    for drawn in _drawn(NARX_SPACE, budget, seed):
+
+    def trained(_: int, drawn: Point) -> tuple[NARXModel, float, Said]:
         point = dict(drawn)
         lags = point.pop("lags")
         model = fit_narx(
@@ -112,21 +125,10 @@ def search_narx(
             seed=seed,
             **point,
         )
-        seconds += model.train_seconds
         errors = [
             (model.lags.measured(s) - model.one_step(s)[0]) ** 2 for s in segments_of(validation)
         ]
-        error = float(
-            np.mean(np.nanmean(np.concatenate(errors), axis=0) / np.where(spread > 0, spread, 1.0))
-        )
-        tried.append({**drawn, "validation": error})
-        if progress:
-            progress(f"candidate {len(tried)} of {budget}: {tried[-1]}")
-        if error < lowest:
-            best, lowest = model, error
-    if best is None:
-        raise DataError(
-            "no candidate of the search predicts the validation data",
-            fix="validate on longer segments",
-        )
-    return replace(best, train_seconds=seconds, report={**best.report, "search": tried})
+        each = np.nanmean(np.concatenate(errors), axis=0)
+        return model, float(np.mean(each / np.where(spread > 0, spread, 1.0))), {}
+
+    return _best(NARX_SPACE, budget, seed, trained, progress)
