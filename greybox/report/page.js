@@ -24,6 +24,7 @@
     svg.addEventListener('pointermove', (e) => point(p, e));
     svg.addEventListener('pointerleave', () => hide(group));
     svg.addEventListener('pointerdown', (e) => press(p, e));
+    svg.addEventListener('dragstart', (e) => e.preventDefault());  // of marked text
     svg.addEventListener('dblclick', () => zoom(p.axes[0], p.axes[0].x));
     svg.addEventListener('keydown', (e) => key(p, e));
     svg.addEventListener('blur', () => hide(group));

@@ -73,7 +73,7 @@ figure svg { display: block; width: 100%; height: auto; }
 figure svg text { font-family: var(--sans); }
 figure svg * { stroke-linejoin: round; stroke-linecap: butt; }
 figure svg:focus:not(:focus-visible) { outline: none; }
-figure svg[data-axes] { touch-action: pan-y; cursor: crosshair; }
+figure svg[data-axes] { touch-action: pan-y; cursor: crosshair; -webkit-user-select: none; user-select: none; }
 figure svg .own line { stroke: var(--line); stroke-width: .6; }
 figure svg .own text { font-size: 8.5px; fill: var(--muted); }
 figure svg .cursor { pointer-events: none; }

@@ -150,7 +150,9 @@ def test_the_keyboard_reaches_every_link_fold_and_table_that_scrolls(page: Any):
         '[tabindex="0"]\')];'
         "window.wanted = all.filter(e => e.checkVisibility()); return window.wanted.length"
     )
-    page.execute_script("document.activeElement.blur(); window.scrollTo(0, 0)")
+    page.execute_script(
+        "document.activeElement.blur(); window.scrollTo({top: 0, behavior: 'instant'})"
+    )
     seen = set()
     for _ in range(wanted + 5):
         page.find_element(By.TAG_NAME, "body").send_keys(Keys.TAB)
@@ -199,7 +201,7 @@ def test_the_first_screen_is_the_headline(page: Any):
     """What the page says first, its figure and what to do next are seen without scrolling."""
     size(page, *DESKTOP)
     ends = page.execute_script(
-        "window.scrollTo(0, 0); const end = e => e.getBoundingClientRect().bottom;const next = "
+        "window.scrollTo({top: 0, behavior: 'instant'}); const end = e => e.getBoundingClientRect().bottom;const next = "
         "[...document.querySelectorAll('h3')].find(h => h.textContent === 'What to do next');"
         "return [end(document.querySelector('.good, .bad')), "
         "end(document.querySelector('figure')), end(next)]"
@@ -240,6 +242,27 @@ def test_a_drag_zooms_all_figures_of_the_same_time_and_a_double_click_takes_it_b
     assert page.execute_script(LABELS, beside) == []
     assert page.execute_script(paths, beside) == before
     assert page.get_log("browser") == []
+
+
+def test_a_drag_past_the_figure_or_marked_text_does_not_keep_the_next_from_zooming(page: Any):
+    """A drag that begins in marked text would carry the text, not zoom."""
+    from selenium.webdriver import ActionChains
+
+    first = flight_figures(page)[0]
+    marked = "return String(getSelection())"
+
+    def drag(right: int, down: int) -> None:
+        chain = ActionChains(page).move_to_element_with_offset(first, -40, 0).click_and_hold()
+        chain.move_by_offset(right, down).release().perform()
+
+    drag(90, 300)
+    assert page.execute_script(marked) == ""
+    for mark in ("", "getSelection().selectAllChildren(document.body)"):
+        page.execute_script(mark)
+        drag(90, 0)
+        assert page.execute_script(LABELS, first) != [], mark
+        ActionChains(page).double_click(first).perform()
+        assert page.execute_script(LABELS, first) == []
 
 
 def test_a_bode_figure_zooms_with_its_band_and_its_points(page: Any):
