@@ -126,6 +126,19 @@ def test_a_curve_of_the_commands_is_no_range(flown, strength):
     assert said(with_channels(raw, **curved), craft) == ()
 
 
+def test_shares_of_thrust_are_no_rotor_speeds(flown):
+    raw, craft = flown
+    shares = with_channels(raw, **{n: raw.channels[n] ** 2 for n in COMMANDS})
+    (found,) = said(shares, craft)
+    assert found.severity == "warning"
+    assert "shares of thrust" in found.message
+    assert found.evidence["steepness"] == pytest.approx(0.5, abs=0.1)
+    full = sum(q.value for q in craft.actuator.thrust)
+    assert f"thrust = [0, {full:.4g}, 0]" in found.fix
+    mended = tuple(Quantity(value=v) for v in (0.0, full, 0.0))
+    assert said(shares, replace(craft, actuator=replace(craft.actuator, thrust=mended))) == ()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("set_name", SETS)
 def test_real_flights_pass(set_name):

@@ -5,7 +5,8 @@ The level, mean specific force over mean promised thrust, is that of mass, thrus
 How steeply thrust grows with the commands, each over its mean, is the same for every mass and
 thrust number, and tells where the commands begin: the map is tried with zeros of the commands from
 u = 0 on, and with every `thrust_curve`, none with a number that is free. Lag, feedback and gusts
-make the slope smaller, never larger.
+make the slope smaller, never larger: that commands are shares of thrust, not of rotor speed, is
+said where the level agrees.
 """
 
 from __future__ import annotations
@@ -189,6 +190,11 @@ def _curved(u: FloatArray, f: float) -> FloatArray:
     return (1.0 - f) * u + f * u**2
 
 
+def _speed_of_share(u: FloatArray) -> FloatArray:
+    """Rotor speeds of commands that are shares of the thrust."""
+    return np.sqrt(np.maximum(u, 0.0))
+
+
 def _sums(view: View) -> Sums | str:
     """The sums of a flight, or why there are none."""
     known = _map(view.vehicle)
@@ -217,8 +223,8 @@ def _sums(view: View) -> Sums | str:
     blocks = np.array_split(rows, BLOCKS)
     begun = (_begun(u, float(v)) for v in ZEROS * float(np.nanmean(u[rows])))
     curved = (_curved(u, float(f)) for f in CURVES)
-    sums = np.zeros((3, ZEROS.size + CURVES.size, BLOCKS))
-    for k, changed in enumerate(itertools.chain(begun, curved)):
+    sums = np.zeros((3, ZEROS.size + CURVES.size + 1, BLOCKS))
+    for k, changed in enumerate(itertools.chain(begun, curved, [_speed_of_share(u)])):
         x = shifted(parts(known.promised(changed).sum(axis=1, keepdims=True)), lag)
         for j, b in enumerate(blocks):
             sums[:, k, j] = x[b, 0].sum(), (x[b, 1] ** 2).sum(), (x[b, 1] * y[b, 1]).sum()
@@ -248,7 +254,7 @@ def _verdict(vehicle: Airframe, sums: Sums) -> Verdict | None:
     if 0.0 < level < math.inf:
         said = f"the thrust that carries the craft is {level:.2g} times what the file makes of "
         said += "the commands"
-    begun = _begins(vehicle, known, sums)
+    begun = _begins(vehicle, known, sums) or _of_thrust(known, sums)
     if begun is None and not wrong:
         return None
     fix = "weigh the craft, compare [actuator] thrust with its data sheet, and the range of the "
@@ -281,7 +287,7 @@ def _begins(vehicle: Airframe, known: _Map, sums: Sums) -> Verdict | None:
     total, left = sums.total, sums.left_out.left
     if not float(total.xx[0, 0]) > (LEAST * float(total.x[0, 0])) ** 2 / float(total.count[0]):
         return None  # the commands stand still
-    rest, n = total.left[:, 0], ZEROS.size
+    rest, n = total.left[:-1, 0], ZEROS.size
     zero, curve = int(np.argmin(rest[:n])), n + int(np.argmin(rest[n:]))
 
     def better(k: int) -> float:
@@ -304,6 +310,29 @@ def _begins(vehicle: Airframe, known: _Map, sums: Sums) -> Verdict | None:
         message=f"{grows}: {_said(vehicle, low)}",
         evidence={"steepness": steep, "begins_at": low, "full_at": high},
         fix=_mend(vehicle, low, high),
+    )
+
+
+def _of_thrust(known: _Map, sums: Sums) -> Verdict | None:
+    """Commands in proportion to thrust where the map takes them for rotor speeds; None where that
+    does not tell far more, or does not carry the craft any better."""
+    total, left = sums.total, sums.left_out.left
+    rest, level = total.left[:, 0], total.level[:, 0]
+    gained = float(rest[0] - rest[-1]) - CLEAR * jackknife(left[0] - left[-1])
+    if gained < -math.log(LEFT) or rest[-1] > math.log(1.0 - SEEN) or not level[0] > 0.0:
+        return None
+    off, off_shares = abs(math.log(float(level[0]))), abs(math.log(float(level[-1])))
+    speed = float(_speed_of_share(np.array(float(sums.u.sum() / sums.count.sum()))))
+    if off_shares > min(off, CLEAR * known.spread(speed)):
+        return None
+    steep, full = float(total.steepness[0, 0]), float(known.promised(np.array(1.0)))
+    return Verdict(
+        claim="shares",
+        severity="warning",
+        message=f"grows {steep:.2g} times as steeply with the commands as the file's map says: they "
+        "look like shares of thrust, not of rotor speed",
+        evidence={"steepness": steep},
+        fix=f"[actuator] thrust = [0, {full:.4g}, 0], and torque likewise; or log the square roots",
     )
 
 
