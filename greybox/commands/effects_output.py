@@ -156,5 +156,6 @@ def _needs(effect: Effect) -> str:
         f"sensor {' or '.join(group)}" for group in (needs.sensors, needs.other_sensors) if group
     ]
     if needs.effects:
-        parts.append(f"felt only with {' or '.join(needs.effects)}")
+        others, last = ", ".join(needs.effects[:-1]), needs.effects[-1]
+        parts.append("felt only with " + (f"{others} or {last}" if others else last))
     return ", ".join(parts)

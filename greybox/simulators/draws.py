@@ -27,7 +27,7 @@ from greybox.residual.hybrid import HybridModel
 from greybox.simulators.command_text import EFFECTS as COMMANDS
 from greybox.simulators.coordinates import MOMENTS, PLACES, PRODUCTS, Coordinates
 from greybox.simulators.craft import SHORTEST_LAG, Craft, of_a_body
-from greybox.simulators.laws import linear_drag
+from greybox.simulators.laws import drag_at_hover
 from greybox.simulators.principal_axes import principal_axes
 from greybox.simulators.targets.crazyflow import PER_MINUTE
 from greybox.simulators.targets.mujoco import tangent, yaw_ratio
@@ -365,7 +365,7 @@ def _isaac(every: list[Craft], command_strength: FloatArray) -> dict[str, FloatA
         "com_orientations": np.tile([1.0, 0.0, 0.0, 0.0], (len(every), 1)),
         "rotor_constant": thrust * factor,
         "rolling_moment_coefficient": torque * factor,
-        "drag": np.array([linear_drag(c) for c in every]),
+        "drag": np.array([drag_at_hover(c) for c in every]),
     }
 
 
@@ -386,7 +386,7 @@ def _crazyflow(every: list[Craft]) -> dict[str, FloatArray]:
         "rpm2thrust": np.array([c.thrust for c in every]) * powers,
         "rpm2torque": np.array([c.torque for c in every]) * powers,
         "rotor_dyn_coef": rates * powers[[0, 1, 0, 1]],
-        "drag_matrix": np.array([np.diag(-linear_drag(c)) for c in every]),
+        "drag_matrix": np.array([np.diag(-drag_at_hover(c)) for c in every]),
         "mixing_matrix": np.stack([arms[..., 1] / length, -arms[..., 0] / length, spins], axis=1),
         "L": np.full(len(every), length),
     }

@@ -11,50 +11,40 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
-from greybox.model.effect import Effect, vector_parameters
+from greybox.model.effect import Effect
+from greybox.model.effects import effect_by_name
+from greybox.model.effects.linear_drag import LinearDrag
 from greybox.model.flow import Flow
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
-from greybox.simulators.change import Change
+from greybox.simulators.change import Change, changed
 from greybox.simulators.craft import Craft
 from greybox.simulators.words import GYROSCOPIC, Status, Word, Wording
 from greybox.symbolic import Expr, FloatArray
 
 
-class LinearBodyDrag(Effect):
-    """F = -diag(d) R^T v through the centre of mass; `wind`: of the airspeed instead."""
+class DragOfGroundSpeed(LinearDrag):
+    """F = -diag(d) R^T v: the linear drag of a simulator that knows no wind."""
 
-    name = "linear_body_drag"
-    stage = "wrench"
-    summary = "force against the velocity, one coefficient per body axis"
-    formula = "F = -diag(d_x, d_y, d_z) v"
-
-    def __init__(self, *, wind: bool) -> None:
-        self.wind = wind
-
-    def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
-        """d_x, d_y, d_z [N s/m]."""
-        return vector_parameters("d_", "xyz", unit="N s/m", scale=1.0, meaning="drag")
+    formula = "F_j = -d_j v_j"
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Force through the centre of mass."""
-        velocity = flow.velocity - flow.wind if self.wind else flow.velocity
         gain: Expr = ca.vertcat(p["d_x"], p["d_y"], p["d_z"])
-        return {"force": -gain * velocity}
+        return {"force": -gain * flow.velocity}
 
 
-def linear_drag(craft: Craft) -> FloatArray:
-    """d (3,) [N s/m] that rotor drag and inflow have at hover speed, and parasitic drag at the
-    typical speed of the training flights."""
-    total = craft.count * craft.hover_nu * craft.speed_max
-    d = np.array(
-        [
-            craft.per_speed("rotor_drag.k_x"),
-            craft.per_speed("rotor_drag.k_y"),
-            craft.per_speed("axial_inflow.k_z"),
-        ]
-    )
-    return total * d + typical_speed(craft) * craft.vector("parasitic_drag.c_")
+def drag_at_hover(craft: Craft) -> FloatArray:
+    """d (3,) [N s/m] of all drags together: of rotor drag and inflow at hover speed, of parasitic
+    drag at the typical speed of the training flights."""
+    rotors = np.array([craft.get(n) for n in OF_ROTORS])
+    fuselage = typical_speed(craft) * craft.vector("parasitic_drag.c_")
+    return _sum_of_speeds(craft) * rotors + fuselage + craft.vector("linear_drag.d_")
+
+
+def _sum_of_speeds(craft: Craft) -> float:
+    """Of all rotors at hover, in the units that the drag of the rotors has."""
+    return craft.count * craft.hover_nu * craft.physics.vehicle.omega_scale
 
 
 def typical_speed(craft: Craft) -> float:
@@ -92,7 +82,8 @@ def no_gyroscopic_moment(wording: Wording, why: str) -> None:
     wording.add(Word(effect=GYROSCOPIC, status=Status.LOST, how=why, change=change))
 
 
-DRAGS = ("rotor_drag", "axial_inflow", "parasitic_drag")
+OF_ROTORS = ("rotor_drag.k_x", "rotor_drag.k_y", "axial_inflow.k_z")
+DRAGS = ("rotor_drag", "axial_inflow", "linear_drag", "parasitic_drag")
 
 
 def fold_drag(
@@ -104,13 +95,18 @@ def fold_drag(
     of: tuple[str, ...] = DRAGS,
 ) -> None:
     """Rows for a simulator whose drag is linear in the body's velocity: the effects `of` become one
-    linear drag `d` (default: `linear_drag`). The whole change stands in the first row."""
+    linear drag `d` (default: `drag_at_hover`). The whole change stands in the first row."""
     there = tuple(n for n in of if n in wording.craft.effects)
     if not there:
         return
-    gain = linear_drag(wording.craft) if d is None else d
-    values = {f"linear_body_drag.d_{a}": float(v) for a, v in zip("xyz", gain, strict=True)}
-    whole = Change(without=there, instead=(LinearBodyDrag(wind=wind),), values=values)
+    gain = drag_at_hover(wording.craft) if d is None else d
+    windless = wind or "steady_wind" not in wording.craft.effects
+    if there == ("linear_drag",) and windless and np.array_equal(gain, drag_of(wording.craft)):
+        wording.said("linear_drag", how)
+        return
+    values = {f"linear_drag.d_{a}": float(v) for a, v in zip("xyz", gain, strict=True)}
+    law = LinearDrag() if wind else DragOfGroundSpeed()
+    whole = Change(without=there, instead=(law,), values=values)
     wording.folded(
         there[0],
         f"{how}, at hover speed" + (f" (with {', '.join(there[1:])})" if there[1:] else ""),
@@ -121,5 +117,20 @@ def fold_drag(
 
 
 def drag_of(craft: Craft) -> FloatArray:
-    """d (3,) of a craft that was folded by `fold_drag`; zeros where nothing was."""
-    return craft.vector("linear_body_drag.d_")
+    """d (3,) of a craft that was folded by `fold_drag`; zeros where it has no drag."""
+    return craft.vector("linear_drag.d_")
+
+
+def drag_into_rotors(wording: Wording) -> None:
+    """The row of a linear drag of the body in a simulator that knows drag of the rotors: it becomes
+    drag and inflow of the rotors at hover speed. Rows after it are of the craft that has these."""
+    craft = wording.craft
+    if "linear_drag" not in craft.effects:
+        return
+    share = drag_of(craft) / _sum_of_speeds(craft)
+    values = {n: craft.get(n) + float(d) for n, d in zip(OF_ROTORS, share, strict=True)}
+    have = {e.name for e in craft.physics.effects}
+    missing = tuple(effect_by_name(n) for n in ("rotor_drag", "axial_inflow") if n not in have)
+    whole = Change(without=("linear_drag",), instead=missing, values=values)
+    wording.folded("linear_drag", "as drag and inflow of the rotors, equal at hover speed", whole)
+    wording.craft = changed(craft, [whole])

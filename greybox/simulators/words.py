@@ -40,11 +40,15 @@ class Word:
 @dataclass
 class Wording:
     """Collects the rows of one target for `craft`. Effects that the model does not have make no
-    row."""
+    row. A law that changes the craft for the rows after it replaces `craft`."""
 
     craft: Craft
     simulator: str
     rows: list[Word] = field(default_factory=list)
+    first: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.first = tuple(self.craft.effects)
 
     def said(self, effect: str, how: str) -> Self:
         """The simulator has the same law."""
@@ -81,7 +85,8 @@ class Wording:
         for name, effect in self.craft.effects.items():
             if name not in have:
                 self.lost(name, _no_term(effect, self.simulator))
-        order = [THRUST_MAP, TORQUE_MAP, GRAVITY, CENTRE, GYROSCOPIC, *self.craft.effects, LEARNED]
+        effects = dict.fromkeys((*self.first, *self.craft.effects))
+        order = [THRUST_MAP, TORQUE_MAP, GRAVITY, CENTRE, GYROSCOPIC, *effects, LEARNED]
         if self.craft.pushes and LEARNED not in {w.effect for w in self.rows}:
             self.add(
                 Word(

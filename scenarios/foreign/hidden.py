@@ -113,6 +113,11 @@ def _rotor_drag(s: Sizes) -> PlantEffect:
     return known.RotorDrag(k_x=k, k_y=k)
 
 
+def _linear_drag(s: Sizes) -> PlantEffect:
+    side, up = s.mass * s.size(0.15, 0.5), s.mass * s.size(0.15, 0.5)
+    return known.LinearDrag(d_x=side, d_y=side, d_z=up)
+
+
 def _saturation(s: Sizes) -> PlantEffect:
     frame = s.frame
     room = frame.u_max - s.hover
@@ -154,9 +159,13 @@ _KNOWN: dict[str, Callable[[Sizes], PlantEffect]] = {
     "steady_wind": _wind,
     "thrust_curve": lambda s: known.ThrustCurve(f=s.size(0.1, 0.3)),
     "translational_lift": lambda s: known.TranslationalLift(k_h=s.weight * s.size(0.003, 0.008)),
+    "linear_drag": _linear_drag,
 }
 CATALOGUED = tuple(_KNOWN)
 """Effects of the catalogue that can be hidden; ground_effect needs flights near the ground."""
+DRAWN = tuple(n for n in CATALOGUED if n != "linear_drag")
+"""Effects that a seed draws from: of the time when the first logs were judged, so that each seed
+keeps its log. The others are judged by name (`single:linear_drag`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +207,7 @@ OUTSIDE: dict[str, Stranger] = {
     "power_drag": Stranger(
         make=lambda s: outside.PowerDrag(c=s.weight * s.size(0.015, 0.03)),
         axes=(*LATERAL, "force.z"),
-        family=("parasitic_drag", "rotor_drag", "axial_inflow"),
+        family=("parasitic_drag", "linear_drag", "rotor_drag", "axial_inflow"),
     ),
     "quadratic_damping": Stranger(
         make=lambda s: outside.QuadraticDamping(d=s.inertia[0] * s.size(1.2, 2.5)),
@@ -208,7 +217,7 @@ OUTSIDE: dict[str, Stranger] = {
     "relaxing_drag": Stranger(
         make=lambda s: outside.RelaxingDrag(k=s.mass * s.size(0.3, 0.6)),
         axes=(*LATERAL, "force.z"),
-        family=("rotor_drag", "parasitic_drag", "axial_inflow"),
+        family=("rotor_drag", "linear_drag", "parasitic_drag", "axial_inflow"),
     ),
     "hysteretic_damping": Stranger(
         make=lambda s: outside.HystereticDamping(d=s.inertia[0] * s.size(1.0, 2.0)),
@@ -247,12 +256,15 @@ OWN: dict[str, Own] = {
     "fluid": Own(
         simulator="mujoco",
         axes=(*LATERAL, "force.z", *TURNS),
-        family=("parasitic_drag", "rotor_drag", "axial_inflow", "rotational_damping"),
+        family=(
+            *("parasitic_drag", "linear_drag", "rotor_drag", "axial_inflow"),
+            "rotational_damping",
+        ),
     ),
     "linear_drag": Own(
         simulator="drone_models",
         axes=(*LATERAL, "force.z"),
-        family=("rotor_drag", "axial_inflow", "parasitic_drag"),
+        family=("linear_drag", "rotor_drag", "axial_inflow", "parasitic_drag"),
     ),
     "rotor_law": Own(
         simulator="drone_models",

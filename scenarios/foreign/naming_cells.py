@@ -44,6 +44,7 @@ from scenarios.foreign.flights import (
 )
 from scenarios.foreign.hidden import (
     CATALOGUED,
+    DRAWN,
     NEEDS_DRAG,
     OUTSIDE,
     OWN,
@@ -77,7 +78,7 @@ BY_IMU = (
     *("rotor_drag", "accelerometer_lever_arm", "gyro_scale", "accelerometer_scale"),
 )
 """Effects that gyro and accelerometer can show."""
-TOGETHER = tuple(n for n in CATALOGUED if n not in (*NEEDS_DRAG, "command_saturation"))
+TOGETHER = tuple(n for n in DRAWN if n not in (*NEEDS_DRAG, "command_saturation"))
 """Effects of pair and five."""
 KINDS = ("clean", "single", "pair", "five", "outside", "imu", "wind", "power")
 
@@ -188,7 +189,7 @@ def _hidden(
     if kind == "outside":
         return (() if which in OWN else (outside_effect(which, frame, random),)), (), {}
     count = {"clean": 0, "pair": 2, "five": 5}.get(kind, 1)
-    pool = {"imu": BY_IMU, "single": CATALOGUED}.get(kind, TOGETHER)
+    pool = {"imu": BY_IMU, "single": DRAWN}.get(kind, TOGETHER)
     chosen = [str(n) for n in random.choice(pool, count, replace=False)]
     if kind in ("single", "imu") and which:
         chosen = [which]

@@ -32,6 +32,7 @@ CASES = {
     "axial_inflow": {"k_z": 2e-6},
     "translational_lift": {"k_h": 2e-4},
     "ground_effect": {"k": 2.0},
+    "linear_drag": {"d_x": 0.010, "d_y": 0.014, "d_z": 0.008},
     "parasitic_drag": {"c_x": 0.002, "c_y": 0.003, "c_z": 0.004},
     "steady_wind": {"w_x": 1.0, "w_y": -0.8, "w_z": 0.0},
     "products_of_inertia": {"Jxy": 1e-6, "Jxz": -1e-6, "Jyz": 1.5e-6},

@@ -48,6 +48,7 @@ VALUES = {
     "ground_effect": {"k": 2.5},
     "products_of_inertia": {"Jxy": 2e-4, "Jxz": -3e-4, "Jyz": 1e-4},
     "payload_mass": {"mu": 0.2},
+    "linear_drag": {"d_x": 0.2, "d_y": 0.3, "d_z": 0.1},
     "parasitic_drag": {"c_x": 0.02, "c_y": 0.03, "c_z": 0.04},
     "steady_wind": {"w_x": 3.0, "w_y": -2.0, "w_z": 0.5},
     "rotor_gyroscopic": {"J_r": 5e-5},
@@ -60,6 +61,7 @@ VALUES = {
 NEEDED = {
     "steady_wind": (
         "rotor_drag",
+        "linear_drag",
         "parasitic_drag",
         "axial_inflow",
         "translational_lift",

@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 from craft import CROOKED, flat, function, model_of, state, vector
 
-AIRSPEED = ("rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift")
+AIRSPEED = (
+    *("rotor_drag", "linear_drag", "parasitic_drag", "blade_flapping"),
+    *("axial_inflow", "translational_lift"),
+)
 SIZES = {
     "rotor_drag__k_x": 3e-5,
     "rotor_drag__k_y": 2e-5,
+    "linear_drag__d_x": 0.2,
+    "linear_drag__d_y": 0.3,
+    "linear_drag__d_z": 0.1,
     "parasitic_drag__c_x": 0.02,
     "parasitic_drag__c_y": 0.03,
     "parasitic_drag__c_z": 0.01,

@@ -91,6 +91,7 @@ def test_what_it_says_whole_flies_alike(package: str, tmp_path: Path) -> None:
     dynamics = dynamics_of(package)
     own = {"motor_lag_asymmetry.a": 0.3, "motor_lag_speed.s": 0.6}
     own |= {"thrust.c1": 0.8, "torque.c1": 0.01}
+    own |= {"linear_drag.d_x": 0.2, "linear_drag.d_y": 0.3, "linear_drag.d_z": 0.1}
     own |= {"rotor_gyroscopic.J_r": 2e-5} if package == "crazyflow" else {}
     model = identified({**SAYS, **own}, gravity=9.80665)
     (statement,) = twin(model, [package], out=tmp_path).statements

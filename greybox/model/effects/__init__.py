@@ -21,6 +21,7 @@ from greybox.model.effects.ground_effect import GroundEffect
 from greybox.model.effects.gyro_bias import GyroBias
 from greybox.model.effects.gyro_scale import GyroScale
 from greybox.model.effects.imu_misalignment import ImuMisalignment
+from greybox.model.effects.linear_drag import LinearDrag
 from greybox.model.effects.mocap_misalignment import MocapMisalignment
 from greybox.model.effects.motor_lag import MotorLag
 from greybox.model.effects.motor_lag_asymmetry import MotorLagAsymmetry
@@ -62,6 +63,7 @@ CATALOGUE: tuple[Effect, ...] = (
     ProductsOfInertia(),
     PayloadMass(),
     RotorDrag(),
+    LinearDrag(),
     ParasiticDrag(),
     SteadyWind(),
     BladeFlapping(),

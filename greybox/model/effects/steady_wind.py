@@ -38,6 +38,7 @@ class SteadyWind(Effect):
     needs = Needs(
         effects=(
             "rotor_drag",
+            "linear_drag",
             "parasitic_drag",
             "blade_flapping",
             "axial_inflow",

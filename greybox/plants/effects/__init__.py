@@ -17,6 +17,7 @@ from greybox.plants.effects.ground_effect import GroundEffect
 from greybox.plants.effects.gyro_bias import GyroBias
 from greybox.plants.effects.gyro_scale import GyroScale
 from greybox.plants.effects.imu_misalignment import ImuMisalignment
+from greybox.plants.effects.linear_drag import LinearDrag
 from greybox.plants.effects.mocap_misalignment import MocapMisalignment
 from greybox.plants.effects.motor_lag import MotorLag
 from greybox.plants.effects.motor_lag_asymmetry import MotorLagAsymmetry
@@ -54,6 +55,7 @@ CATALOGUE: tuple[type[PlantEffect], ...] = (
     GyroBias,
     GyroScale,
     ImuMisalignment,
+    LinearDrag,
     MocapMisalignment,
     MotorLag,
     MotorLagAsymmetry,

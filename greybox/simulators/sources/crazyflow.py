@@ -71,7 +71,7 @@ def _craft(name: str, p: Parsed) -> Found:
         **_lag(p.get("rotor_dyn_coef", [0.0] * 4), 2.0 * base.hover_nu * speed * PER_MINUTE),
         "rotor_gyroscopic.J_r": float(p.get("prop_inertia", 0.0)),
         **{f"rotor_asymmetry.delta_{i}": float(s - 1) for i, s in enumerate(strength[:-1], 1)},
-        **base.linear_drag(drag),
+        **{f"linear_drag.d_{a}": float(v) for a, v in zip("xyz", drag, strict=True)},
     }
     fields = {k: getattr(base, k) for k in base.__dataclass_fields__}
     return Found(

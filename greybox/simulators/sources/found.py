@@ -52,12 +52,6 @@ class Found:
             raise VehicleError("the rotors cannot carry the craft", where=self.name)
         return nu
 
-    def linear_drag(self, d: FloatArray) -> dict[str, float]:
-        """Rotor drag and inflow that have the linear drag d (3,) [N s/m] at hover speed."""
-        total = len(self.hubs) * self.hover_nu * (self.speed_max or 1.0)
-        names = ("rotor_drag.k_x", "rotor_drag.k_y", "axial_inflow.k_z")
-        return {n: float(v) / total for n, v in zip(names, d, strict=True) if d.any()}
-
     def text(self, source: str) -> str:
         """The vehicle file (TOML, schema "greybox.vehicle/2")."""
         name = self.name.replace("\\", "/").replace('"', "'")

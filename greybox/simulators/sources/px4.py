@@ -72,7 +72,7 @@ def read(path: Path) -> Found:
     effects = {
         "motor_lag.tau": p.get("SIH_T_TAU", 0.0),
         **{f"rotational_damping.d_{a}": p.get("SIH_KDW", 0.0) for a in "pqr"},
-        **base.linear_drag(np.full(3, p.get("SIH_KDV", 0.0))),
+        **{f"linear_drag.d_{a}": p.get("SIH_KDV", 0.0) for a in "xyz"},
     }
     fields = {k: getattr(base, k) for k in base.__dataclass_fields__}
     measure = ("thrust is linear in the command here: see thrust.c2", "mass: weigh it")

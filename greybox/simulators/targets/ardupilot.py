@@ -26,7 +26,7 @@ from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
-from greybox.simulators.laws import no_gyroscopic_moment
+from greybox.simulators.laws import drag_into_rotors, no_gyroscopic_moment
 from greybox.simulators.layout import Place, order_in
 from greybox.simulators.module_text import hover_command
 from greybox.simulators.words import (
@@ -112,6 +112,8 @@ class ArduPilot:
             Change(without=("thrust_curve",)),
         )
         w.said("center_of_mass_offset", "motorN_position").said("payload_mass", "mass")
+        drag_into_rotors(w)
+        craft = w.craft
         drag = _hub_drag(craft)
         there = [n for n in ("rotor_drag", "axial_inflow") if n in craft.effects]
         values = {f"rotor_drag.k_{a}": drag for a in "xy"} | {"axial_inflow.k_z": drag}

@@ -19,7 +19,7 @@ from greybox.simulators.change import Change
 from greybox.simulators.craft import SHORTEST_LAG, Craft
 from greybox.simulators.laws import (
     DRAGS,
-    linear_drag,
+    drag_at_hover,
     no_gyroscopic_moment,
     typical_speed,
 )
@@ -133,7 +133,7 @@ def _drag(wording: Wording) -> None:
     if not there:
         return
     speed = typical_speed(craft)
-    level = float(linear_drag(craft)[:2].mean()) / speed if speed else 0.0
+    level = float(drag_at_hover(craft)[:2].mean()) / speed if speed else 0.0
     whole = Change(
         without=there,
         instead=(ParasiticDrag(),),

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.simulators.craft import Craft
+from greybox.simulators.laws import drag_into_rotors
 from greybox.simulators.sensor_text import coloured_parts
 from greybox.simulators.targets.rotorpy import one_drag
 from greybox.simulators.words import Word, Wording, quadratic_maps
@@ -111,6 +112,7 @@ class Gazebo:
     def words(self, craft: Craft) -> tuple[Word, ...]:
         """What the motor plugin knows."""
         w = Wording(craft, self.simulator)
+        drag_into_rotors(w)
         quadratic_maps(w, thrust="motorConstant", torque="momentConstant")
         w.said("motor_lag", "timeConstantUp, timeConstantDown")
         w.said("motor_lag_asymmetry", "timeConstantUp, timeConstantDown")

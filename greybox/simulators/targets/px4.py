@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.simulators.change import Change
 from greybox.simulators.craft import SHORTEST_LAG, Craft
-from greybox.simulators.laws import drag_of, fold_drag, linear_drag
+from greybox.simulators.laws import drag_at_hover, drag_of, fold_drag
 from greybox.simulators.layout import order_in
 from greybox.simulators.words import THRUST_MAP, TORQUE_MAP, Status, Word, Wording, symmetric_arms
 
@@ -67,7 +67,7 @@ class PX4:
             "one SIH_KDW for all axes, the mean",
             Change(values={f"rotational_damping.d_{a}": mean for a in "pqr"}),
         )
-        level = float(linear_drag(craft)[:2].mean())
+        level = float(drag_at_hover(craft)[:2].mean())
         fold_drag(w, "one SIH_KDV for all axes", np.full(3, level), wind=True)
         if "steady_wind" in craft.effects:
             up = craft.get("steady_wind.w_z")

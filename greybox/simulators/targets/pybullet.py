@@ -23,6 +23,7 @@ from greybox.model.vehicle import Vehicle
 from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
+from greybox.simulators.laws import drag_into_rotors
 from greybox.simulators.layout import ANY_LAYOUT
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps
 from greybox.symbolic import Expr, FloatArray
@@ -169,6 +170,7 @@ def order(craft: Craft) -> tuple[int, ...]:
 
 
 def _drag(wording: Wording) -> None:
+    drag_into_rotors(wording)
     craft = wording.craft
     there = tuple(n for n in ("rotor_drag", "axial_inflow") if n in craft.effects)
     values = {

@@ -9,6 +9,7 @@ import numpy as np
 from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import SHORTEST_LAG, Craft
+from greybox.simulators.laws import drag_into_rotors
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps
 from greybox.symbolic import FloatArray
 
@@ -94,6 +95,7 @@ class RotorPy:
     def words(self, craft: Craft) -> tuple[Word, ...]:
         """Nearly all of the catalogue's aerodynamics; one drag coefficient for x and y."""
         w = Wording(craft, self.simulator)
+        drag_into_rotors(w)
         quadratic_maps(w, thrust="k_eta", torque="k_m")
         fixed_gravity(w, GRAVITY)
         say_commands(w)
