@@ -76,7 +76,7 @@ CASES = {
     "power_drag": Case(
         hidden=outside.PowerDrag(c=0.12),
         axes=(*LATERAL, "force.z"),
-        family=("parasitic_drag", "rotor_drag"),
+        family=("parasitic_drag", "linear_drag", "rotor_drag"),
     ),
     "quadratic_damping": Case(
         hidden=outside.QuadraticDamping(d=4e-3), axes=TURNS, family=("rotational_damping",)
@@ -87,7 +87,7 @@ CASES = {
     "relaxing_drag": Case(
         hidden=outside.RelaxingDrag(k=0.25),
         axes=(*LATERAL, "force.z"),
-        family=("rotor_drag", "parasitic_drag"),
+        family=("rotor_drag", "linear_drag", "parasitic_drag"),
     ),
     "hysteretic_damping": Case(
         hidden=outside.HystereticDamping(d=3e-3), axes=TURNS, family=("rotational_damping",)

@@ -12,6 +12,7 @@ from greybox.plants.airframe import Airframe, Rotor, plus_layout, x_layout
 from greybox.plants.effects import (
     BladeFlapping,
     CenterOfMassOffset,
+    LinearDrag,
     ParasiticDrag,
     RotationalDamping,
     RotorDrag,
@@ -153,6 +154,7 @@ def test_moments_follow_the_published_plus_layout():
     "effect",
     [
         RotorDrag(k_x=1e-4, k_y=2e-4),
+        LinearDrag(d_x=0.2, d_y=0.3, d_z=0.1),
         ParasiticDrag(c_x=0.02, c_y=0.03, c_z=0.04),
         RotationalDamping(d_p=1e-3, d_r=2e-3),
     ],
