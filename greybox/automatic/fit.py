@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.automatic.decide import Decided
 from greybox.automatic.filters import is_endless, without_parts
-from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
+from greybox.automatic.flights import LeftOut, needed_rate, sound_flights
 from greybox.automatic.pieces import first_parts
 from greybox.automatic.sets import BASE
 from greybox.automatic.setting import Given
@@ -127,7 +127,7 @@ def prepare(
     Raises `DataError` for logs that are no flights, `BadDataError` where no flight is left.
     """
     trim = not isinstance(logs, Dataset)
-    raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
+    raws = [f.as_log() for f in logs] if isinstance(logs, Dataset) else list(logs)
     whole = raws
     raws = [without_repeats(r) for r in whole]
     slow = any(a is not b for a, b in zip(raws, whole, strict=True))

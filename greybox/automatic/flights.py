@@ -15,7 +15,6 @@ from greybox.automatic.facts import response_rate
 from greybox.data import Dataset, Flight
 from greybox.data.checks import CheckReport
 from greybox.data.drive import drive
-from greybox.data.raw import RawLog
 from greybox.model.faults import demand_sound
 from greybox.model.vehicle import Vehicle
 
@@ -54,27 +53,6 @@ def needed_rate(data: Dataset) -> float | None:
     if np.ptp(own) > 1e-6 * own.min():
         return float(round(float(own.min())))
     return None
-
-
-def raw_log(flight: Flight) -> RawLog:
-    """A flight in memory as the log that it might have been read from."""
-    t = np.concatenate([s.t for s in flight.segments])
-    return RawLog(
-        t=t,
-        channels={
-            n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels
-        },
-        extra={},
-        rows=np.arange(1, t.size + 1, dtype=np.int64),
-        flight=flight.name,
-        source=flight.source,
-        sha256=flight.sha256,
-        noncausal=flight.noncausal,
-        recipes=flight.recipes,
-        notes=flight.notes,
-        removed=flight.removed,
-        fingerprint=flight.known_by,
-    )
 
 
 def sound_flights(

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from greybox.data.channel import channel, is_canonical
 from greybox.data.fingerprint import LogFile, fingerprint
-from greybox.data.raw import Removed
+from greybox.data.raw import RawLog, Removed
 from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
 from greybox.plots import Curve, panels
@@ -101,6 +101,28 @@ class Flight(Shown):
             "seconds": self.duration,
             "notes": list(self.notes),
         }
+
+    def as_log(self) -> RawLog:
+        """The flight as the log that it might have been read from; its gaps are gaps of the
+        clock."""
+        t = np.concatenate([s.t for s in self.segments])
+        others = set.intersection(*(set(s.extra) for s in self.segments))
+        return RawLog(
+            t=t,
+            channels={
+                n: np.concatenate([s.channels[n] for s in self.segments]) for n in self.channels
+            },
+            extra={n: np.concatenate([s.extra[n] for s in self.segments]) for n in others},
+            rows=np.arange(1, t.size + 1, dtype=np.int64),
+            flight=self.name,
+            source=self.source,
+            sha256=self.sha256,
+            noncausal=self.noncausal,
+            recipes=self.recipes,
+            notes=self.notes,
+            removed=self.removed,
+            fingerprint=self.known_by,
+        )
 
     @property
     def dt(self) -> float:

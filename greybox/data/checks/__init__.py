@@ -163,7 +163,7 @@ class Checked:
     ) -> Checked:
         """Raises `DataError` where two logs have the same name or one is none."""
         given = Dataset.of(data) if isinstance(data, Flight) else data
-        logs = [_as_raw(f) if isinstance(f, Flight) else f for f in given]
+        logs = [f.as_log() if isinstance(f, Flight) else f for f in given]
         demand_names_once([log.flight for log in logs])
         raws = [measurable(log) for log in logs]
         views = tuple(View(raw=r, vehicle=vehicle, asked_again=asked_again) for r in raws)
@@ -241,21 +241,3 @@ def check_logs(
     """Read logs and look for data faults, those of the clock included. Raises what `read_table` and
     `check` raise."""
     return check([read_table(p, vehicle, mapping=mapping) for p in paths], vehicle, accept=accept)
-
-
-def _as_raw(flight: Flight) -> RawLog:
-    t = np.concatenate([s.t for s in flight.segments])
-    others = set.intersection(*(set(s.extra) for s in flight.segments))
-    return RawLog(
-        t=t,
-        channels={
-            n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels
-        },
-        extra={n: np.concatenate([s.extra[n] for s in flight.segments]) for n in others},
-        rows=np.arange(1, t.size + 1, dtype=np.int64),
-        flight=flight.name,
-        source=flight.source,
-        sha256=flight.sha256,
-        noncausal=flight.noncausal,
-        recipes=flight.recipes,
-    )
