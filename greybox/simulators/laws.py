@@ -100,8 +100,8 @@ def fold_drag(
     if not there:
         return
     gain = drag_at_hover(wording.craft) if d is None else d
-    windless = wind or "steady_wind" not in wording.craft.effects
-    if there == ("linear_drag",) and windless and np.array_equal(gain, drag_of(wording.craft)):
+    same_air = wind or "steady_wind" not in wording.craft.effects
+    if there == ("linear_drag",) and same_air and np.array_equal(gain, drag_of(wording.craft)):
         wording.said("linear_drag", how)
         return
     values = {f"linear_drag.d_{a}": float(v) for a, v in zip("xyz", gain, strict=True)}
