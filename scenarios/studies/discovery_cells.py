@@ -158,6 +158,7 @@ def cases(frame: Airframe) -> dict[str, list[hidden.PlantEffect]]:
         "gyro_scale": [hidden.GyroScale(s_x=0.03, s_y=-0.03, s_z=0.03)],
         "imu_misalignment": [hidden.ImuMisalignment(theta_x=0.03, theta_y=-0.02, theta_z=0.03)],
         "mocap_misalignment": [hidden.MocapMisalignment(theta_x=0.03, theta_y=-0.02, theta_z=0.03)],
+        "linear_drag": [hidden.LinearDrag(d_x=0.03 * weight, d_y=0.04 * weight, d_z=0.02 * weight)],
         "motor_lag": [hidden.MotorLag(tau=0.04)],
         "parasitic_drag": [
             hidden.ParasiticDrag(c_x=0.03 * weight, c_y=0.03 * weight, c_z=0.03 * weight)

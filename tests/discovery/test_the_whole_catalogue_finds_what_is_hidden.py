@@ -17,6 +17,7 @@ from scenarios.studies.discovery_grid import judge
         (),
         ("motor_lag",),
         ("rotor_drag",),
+        ("linear_drag",),
         ("accelerometer_bias",),
         ("steady_wind", "rotor_drag"),
         ("motor_lag", "command_delay"),
