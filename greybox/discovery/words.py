@@ -55,8 +55,8 @@ def first_line(found: Discovery) -> str:
     traces = ", ".join(n.name for n in found.said("trace") if n.kept)
     rough = f"{v.sentence}. " if (v := found.model_verdict) and v.refused else doubt(found.gap)
     memory = memory_of(found.fit)
-    if found.fit and not found.fit.converged:
-        rough += "NOT CONVERGED, every number may move: "
+    ends = [f.status for f in (found.fit, found.left and found.left.written) if f]
+    rough += "NOT CONVERGED, every number may move: " * any(not s.converged for s in ends)
     rough += f"AGAINST THE FILE: {'; '.join(found.denied)}. " * bool(found.denied)
     rough += "DOUBTFUL, beside an impossible offset of a sensor: " * bool(found.faults)
     rough += "BY ERRORS AHEAD, as likelihood is no judge here: " * found.ahead

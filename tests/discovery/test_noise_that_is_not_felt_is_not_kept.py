@@ -11,6 +11,7 @@ import pytest
 from greybox.data import Dataset, Flight
 from greybox.discovery.cause import offer, sensor_cause
 from greybox.discovery.evidence import ARRIVED, Flights
+from greybox.discovery.left import Left
 from greybox.discovery.options import DiscoverOptions
 from greybox.discovery.propose import sensor_proposals
 from greybox.discovery.result import Discovery
@@ -123,15 +124,25 @@ def test_the_fit_of_an_answer_goes_on_until_it_has_arrived_and_says_first_where_
     cut = world.fit(world.causes.base)
     assert cut.status.code is Code.MAX_ITERATIONS
     short = replace(world, effort=replace(EFFORT, last=1)).arrived(cut)
+    whole = world.arrived(cut)
     said = {
         name: Discovery(
-            verdict="nothing_missing", omega_known=True, seconds=0.0, fit=world.settled(found)
+            verdict="nothing_missing",
+            omega_known=True,
+            seconds=0.0,
+            fit=world.settled(found),
+            left=Left(axes=(), written=with_laws),
         ).line
-        for name, found in (("short", short), ("whole", world.arrived(cut)))
+        for name, found, with_laws in (
+            ("short", short, None),
+            ("laws", whole, short),
+            ("whole", whole, whole),
+        )
     }
+    assert said["laws"] == said["short"]
     assert said["short"].startswith("NOT CONVERGED, every number may move: NOTHING MISSING")
     assert said["whole"].startswith("NOTHING MISSING")
-    assert world.arrived(cut).value.cost < cut.value.cost
+    assert whole.value.cost < cut.value.cost
 
 
 def test_a_result_is_that_of_its_own_fit_not_of_an_earlier_one_of_the_same_structure():
