@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.draft:
         if not guesses:
             raise DataError("no column looks like a channel that is missing", where=arguments.log)
-        write_atomic(arguments.draft, draft(guesses, time))
+        write_atomic(arguments.draft, draft(guesses, time, (g.group for g in found.groups)))
     if arguments.out:
         if found.raw is None:
             raise DataError(f"nothing to write to {arguments.out}: {found.problem}")
@@ -193,6 +193,9 @@ def advice(
         if arguments.draft:
             clocked = any(s.rate > 0.0 for s in found.recording.streams.values())
             fill = "" if time or clocked else "no column looks like a clock: fill in [time], "
+            like = {g["group"] for g in content["looks_like"]} | {g.group for g in found.groups}
+            if like.isdisjoint(("command", "rotor_speed")):
+                fill += "no columns look like commands: fill in [command], "
             out.append(f"{fill}look {arguments.draft} over, then: {again} --mapping {mapped}")
         else:
             out.append(f"write the guess and look it over: {again} --draft {mapped}")

@@ -25,7 +25,7 @@ _WORDS = {
     "rate": r"gyr\w*|angvel|angularvelocity|bodyrates?|rates?|w",
     "velocity": r"v|vel|velocity|linvel|linearvelocity",
     "position": r"p|pos|position",
-    "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|desired",
+    "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|des|desired",
 }
 _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed",
@@ -33,8 +33,20 @@ _NUMBERED = {
 }
 _ROTOR = r"rotors?"
 """A word of commands that may mean a speed, too."""
-_AFTER = r"pwm|cmd|command|output|e?rpm|speed"
-"""Words that may stand behind the number of a motor: motor1_pwm."""
+_AFTER = rf"pwm|cmd|command|output|e?rpm|speed|{_WORDS['setpoint']}"
+"""Words that may stand behind the number of a motor or an axis: motor1_pwm, x_ref."""
+_ASKED = rf"cmd|command|actions?|{_WORDS['setpoint']}"
+"""Words by which a speed of the rotors is a command."""
+_SPEED = re.compile(r"rpm|omega|speed")
+_TURNS = (
+    {"w": 0, "x": 1, "y": 2, "z": 3},
+    {"roll": 0, "pitch": 1, "yaw": 2},
+    {"phi": 0, "theta": 1, "psi": 2},
+)
+"""How names of an attitude end."""
+_QUATERNION = r"q|quat\w*|att\w*|orientation"
+_OF_TIME = frozenset({"d", "dot"})
+"""Stems of derivatives: those of angles are no body rates."""
 _OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*|thrusts?|forces?|torques?|moments?"
 """Words of what else is set: attitude, force and moment."""
 _UNITS = {
@@ -70,7 +82,7 @@ _WRITTEN = {
 """How names without signs write a unit behind "_": gyro_x_dps, gyro_x_rad_s, acc_x_m_s2, accz_mps2.
 """
 _UNIT_WRITTEN = re.compile(
-    rf"(.*(?:[\W_][xyz]|(?:acc|gyro?)[xyz]|\d|roll|pitch|yaw|bat\w*?|volt\w*?))"
+    rf"(.*(?:(?:^|[\W_])[xyz]|(?:acc|gyro?)[xyz]|\d|roll|pitch|yaw|bat\w*?|volt\w*?))"
     rf"_({'|'.join(sorted(_WRITTEN, key=len, reverse=True))})",
     re.IGNORECASE,
 )
@@ -119,16 +131,17 @@ def guess_columns(
 
     for stem, members in _families(columns, _AXES):
         if set(members) == {0, 1, 2}:
-            group = _meant(stem)
+            lone = not stem and _bare(members[0]).lower() == "x"
+            group = "position" if lone else _meant(stem)
             if group:
                 take(group, [members[i] for i in range(3)])
     for group, numbered in _by_number(columns):
         take(group, numbered)
-    for ends in ({"w": 0, "x": 1, "y": 2, "z": 3}, {"roll": 0, "pitch": 1, "yaw": 2}):
-        for stem, members in _families(columns, ends):
-            if len(members) == len(ends) and not _wanted(stem):
-                turning = len(ends) == 3 and _says(stem, _WORDS["rate"])
-                take("rate" if turning else "attitude", [members[i] for i in range(len(ends))])
+    for group, turns in _attitudes(columns):
+        take(group, turns)
+    for stem, members in _families(columns, {"u": 0, "v": 1, "w": 2}):
+        if not stem and len(members) == 3:
+            take("velocity", [members[i] for i in range(3)])
     for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}):
         if len(members) == 3 and not _wanted(stem):
             take(
@@ -164,8 +177,32 @@ def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
             group = "rotor_speed"
         if group == "command" and not _commanded(stem, members.values(), columns):
             continue
-        if group and not (group == "rotor_speed" and _wanted(stem)):
+        asked = any(re.fullmatch(_ASKED, word) for word in re.split(r"[\W_]+", stem))
+        if asked and (group == "rotor_speed" or (not group and _SPEED.search(stem))):
+            group = "command"
+        if group:
             yield group, [members[i] for i in sorted(members)]
+
+
+def _attitudes(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[str]]]:
+    """(group, names) of angles, of a quaternion with its scalar first, or of the turning of angles'
+    names."""
+    for ends in _TURNS:
+        for stem, members in _families(columns, ends):
+            if len(members) != len(ends) or _wanted(stem) or stem in _OF_TIME:
+                continue
+            turning = len(ends) == 3 and _says(stem, _WORDS["rate"])
+            yield "rate" if turning else "attitude", [members[i] for i in range(len(ends))]
+    for stem, members in _families(columns, {str(i): i for i in range(4)}):
+        if len(members) == 4 and not _wanted(stem) and _says(stem, _QUATERNION):
+            yield "attitude", _scalar_first([members[i] for i in range(4)], columns)
+
+
+def _scalar_first(names: list[str], columns: Mapping[str, FloatArray]) -> list[str]:
+    """The names of a numbered quaternion, its scalar first: a craft that flies is nearly level, so
+    that the two small ones are those about x and y."""
+    size = [float(np.nanmean(columns[n] ** 2)) for n in names]
+    return names if size[1] + size[2] <= size[0] + size[1] else [names[3], *names[:3]]
 
 
 def _battery(name: str) -> bool:
@@ -176,11 +213,17 @@ def _battery(name: str) -> bool:
 
 def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
     """The same with frames: where the accelerometer's z says gravity downwards, x forward and y to
-    the right go with it, in all that one IMU says; "down" is a name."""
+    the right go with it, in all that one IMU says and in velocities u, v, w, which are those along
+    the axes of the body; "down" is a name."""
     found = tuple(guesses)
     turned = any(g.group == "specific_force" and g.frame for g in found)
     frames = {"rate": "FRD", "attitude": "FRD/NED"} if turned else {}
-    return tuple(replace(g, frame=g.frame or frames.get(g.group, "")) for g in found)
+    return tuple(
+        replace(g, frame="FRD" if turned else "FLU")
+        if g.group == "velocity" and _bare(g.fields[0]).lower() == "u"
+        else replace(g, frame=g.frame or frames.get(g.group, ""))
+        for g in found
+    )
 
 
 def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
@@ -218,8 +261,18 @@ NO_TIME = """# No column looks like a clock. Unless one is called t [s] or time_
 """
 
 
-def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
-    """A mapping file (docs/logs.md) that says what was guessed, to be looked over."""
+NO_COMMAND = """# No columns look like commands. Fill in, in the order of the vehicle file's rotors:
+# [command]
+# fields = ["NAME OF ROTOR 1", "NAME OF ROTOR 2", "..."]
+# limits = [1000, 2000]  # what is u = 0 and u = 1 in the log
+"""
+
+
+def draft(
+    guesses: Sequence[Guess], time: tuple[str, str] | None, without: Iterable[str] = ()
+) -> str:
+    """A mapping file (docs/logs.md) that says what was guessed, to be looked over; groups of
+    `without` need none."""
     content: dict[str, Json] = {"schema": SCHEMA}
     if time is not None:
         content["time"] = {"field": time[0], "unit": time[1]}
@@ -230,7 +283,9 @@ def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
         )
     head = "# A guess from names and sizes: look over axes, units and the order of the rotors.\n"
     text = mapping_text(content, comments={g.group: g.why for g in guesses})
-    return head + text + ("" if time is not None else NO_TIME)
+    more = "" if time is not None else NO_TIME
+    driven = not set(_NUMBERED).isdisjoint({*without, *content})
+    return head + text + more + ("" if driven else NO_COMMAND)
 
 
 def _families(
@@ -353,7 +408,10 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         if float(np.median(values[:, 2])) < -0.5 * norm:
             frame, why = "FRD", f"{why}, z negative: z is down"
     elif group == "command":
-        limits = range_of_commands(low, high)
+        asked_speed = _SPEED.search(names[0].lower()) or _unit_of(names[0]) in _UNITS["rotor_speed"]
+        limits = None if asked_speed else range_of_commands(low, high)
+        if limits is None and not 0.0 <= low <= high <= 1.0:
+            why += ": add limits = [what is u = 0, what is u = 1]"
     elif group == "rotor_speed":
         unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
         if "erpm" in names[0].lower():

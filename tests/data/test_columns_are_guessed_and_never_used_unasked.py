@@ -134,7 +134,19 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
             [[1300, 3400, 1400, 3300]],
             ("rotor_speed", "rpm", None),
         ),
-        ([f"target_rpm_{i}" for i in (1, 2, 3, 4)], [[1300, 3400, 1400, 3300]], None),
+        (
+            [f"target_rpm_{i}" for i in (1, 2, 3, 4)],
+            [[1300, 3400, 1400, 3300]],
+            ("command", "", None),
+        ),
+        ([f"action_rpm_{i}" for i in range(4)], [[1300, 1900, 1400, 1300]], ("command", "", None)),
+        ([f"omega{i}_ref" for i in (1, 2, 3, 4)], [[130, 190, 140, 130]], ("command", "", None)),
+        (["phi", "theta", "psi"], [[0.1, -0.2, 3.0]], ("attitude", "rad", None)),
+        (["phi_dot", "theta_dot", "psi_dot"], [[0.1, -0.2, 3.0]], None),
+        (["dphi", "dtheta", "dpsi"], [[0.1, -0.2, 3.0]], None),
+        (["X_mm", "Y_mm", "Z_mm"], [[30, 20, 100]], ("position", "mm", None)),
+        (["x_ref", "y_ref", "z_ref"], [[3, 2, 1]], ("setpoint", "m", None)),
+        (["u", "v", "w"], [[3, 2, 1]], ("velocity", "m/s", None)),
         (
             [f"motor{i}_pwm" for i in (1, 2, 3, 4)],
             [[1200, 1000, 1900, 1500]],
@@ -219,6 +231,42 @@ def test_the_battery_is_the_column_of_volts_wherever_it_stands_and_units_part_fa
     ]
     found = {g.group: g.fields for g in guess_columns({n: np.full(50, 12.0) for n in names})}
     assert found == {"battery": ("battery_voltage",), "rotor_speed": tuple(names[-4:])}
+
+
+@pytest.mark.parametrize("scalar", [0, 3])
+def test_a_numbered_quaternion_begins_with_the_component_of_a_level_craft(scalar: int) -> None:
+    yaw = np.linspace(-3, 3, 90)
+    level = {"w": np.cos(yaw / 2), "x": 0.1 + 0 * yaw, "y": -0.1 + 0 * yaw, "z": np.sin(yaw / 2)}
+    order = "wxyz" if scalar == 0 else "xyzw"
+    (guess,) = guess_columns({f"q[{i}]": level[part] for i, part in enumerate(order)})
+    assert guess.group == "attitude"
+    assert [order[int(name[2])] for name in guess.fields] == list("wxyz")
+
+
+def test_velocities_u_v_w_are_those_of_the_body_in_the_frame_of_the_imu() -> None:
+    log = {n: np.full(50, 1.0) for n in ("u", "v", "w", "acc_x", "acc_y")}
+    for down, frame in ((9.8, "FLU"), (-9.8, "FRD")):
+        found = guess_columns({**log, "acc_z": np.full(50, down)})
+        assert {g.group: g.frame for g in found}["velocity"] == frame
+
+
+def test_a_draft_without_commands_says_what_is_to_be_filled_in(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = [f"{0.005 * i:.3f},.1,.2,.3,400,410,420,430" for i in range(60)]
+    Path("log.csv").write_text("\n".join(["t,gyro_x,gyro_y,gyro_z,fa,fb,fc,fd", *rows]))
+    main(["inspect", "log.csv", "--draft", "map.toml"])
+    assert "no columns look like commands: fill in [command], look map.toml over" in (
+        capsys.readouterr().out
+    )
+    filled = re.sub(
+        r"^# (\[command\]|fields|limits)", r"\1", Path("map.toml").read_text(), flags=re.M
+    )
+    filled = re.sub(r'"NAME OF.*"\]', '"fa", "fb", "fc", "fd"]', filled).replace("2000]", "0]")
+    Path("map.toml").write_text(filled.replace("[1000, 0]", "[0, 1000]"))
+    raw = inspect_log("log.csv", mapping="map.toml").raw
+    assert raw is not None and raw.channels["u1"][0] == 0.4
 
 
 def test_a_draft_is_toml_whatever_the_names_hold() -> None:
