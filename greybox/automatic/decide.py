@@ -53,7 +53,7 @@ from greybox.estimation.fit import noise_of
 from greybox.estimation.options import FitOptions
 from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
-from greybox.model.core_parameters import core_parameters
+from greybox.model.core_parameters import core_parameters, leading
 from greybox.model.effective_lag import PARTS as IN_A_ROW
 from greybox.model.given_values import demand_given
 from greybox.model.noise import Coloured, LowPass, part_named
@@ -71,7 +71,6 @@ REFINE = LevenbergMarquardt(tolerance=0.2, max_iterations=4)
 """... where one more parameter is tried at an optimum: two steps take it there."""
 DIGITS = 3
 """Significant digits of the values that the final fit starts from: a start need not be exact."""
-THRUST = "thrust.c2"
 TAKES_LATENESS = frozenset(n.split(".")[0] for n in IN_A_ROW) - {"motor_lag"}
 """Effects that stand for a filter of the gyro where there is none: what is late in its place."""
 
@@ -380,6 +379,7 @@ class _Comparison:
     def _thrust_per_flight(
         self, options: FitOptions, chosen: Candidate
     ) -> tuple[FitOptions, Candidate]:
+        thrust = leading("thrust", chosen.fit.model.values)
         open_question = (
             "per_flight" not in self.setting.given.choices
             and "shared" not in self.setting.given.choices
@@ -387,14 +387,14 @@ class _Comparison:
         if (
             not open_question
             or len(self.trials.parts[0]) < 2
-            or THRUST not in chosen.fit.parameters
+            or thrust not in chosen.fit.parameters
         ):
             return options, chosen
-        own = options.but(per_flight=(THRUST,))
+        own = options.but(per_flight=(thrust,))
         again = self.trials.tried(chosen.steps, own, chosen, solver=REFINE)
         if again is None:
             return options, chosen
-        each = np.array(list(again.fit.parameters[THRUST].per_flight.values()))
+        each = np.array(list(again.fit.parameters[thrust].per_flight.values()))
         chance, spread = _differ(each[:, 0], each[:, 1])
         gain, error = again.score.better_by(chosen.score)
         differ = chance < CLEAR and spread > NOTICEABLE and gain > -error
@@ -405,7 +405,7 @@ class _Comparison:
             + ": a battery, a load or another craft" * differ,
             "--per-flight, --shared",
         )
-        return (options.but(per_flight=(THRUST,)), again) if differ else (options, chosen)
+        return (options.but(per_flight=(thrust,)), again) if differ else (options, chosen)
 
     def _criterion(self, options: FitOptions, chosen: Candidate) -> tuple[FitOptions, Candidate]:
         """Multi-step errors in place of the likelihood where that foretells better by its error;

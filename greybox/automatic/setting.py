@@ -20,7 +20,7 @@ from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.fit import with_noise_of
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.record import sample_time
-from greybox.model.core_parameters import core_parameters
+from greybox.model.core_parameters import core_parameters, leading
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
@@ -31,8 +31,9 @@ from greybox.model.parameter import Parameter
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 
-RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
-"""Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
+RATIOS = (("mass", "thrust", "motion"), ("torque", "inertia.zz", "yaw"))
+"""Pairs that scale together and change no prediction: force over mass, yaw torque over inertia. A
+map is its leading coefficient."""
 
 Note = Callable[[str, str, str, str], None]
 """Takes a decision: about what, the choice, its reason, and the option that decides otherwise."""
@@ -226,18 +227,20 @@ def _held(options: FitOptions, vehicle: Vehicle, given: Given, note: Note) -> Fi
     named = set(said.get("per_flight", ()))
     declared = {d.name: _believed(d, options) for d in core_parameters(vehicle)}
     held = []
-    for pair in RATIOS:
-        both = [declared[n] for n in pair[:2]]
+    values = {n: d.nominal for n, d in declared.items()}
+    for *pair, shown_by in RATIOS:
+        names = [n if n in declared else leading(n, values) for n in pair]
+        both = [declared[n] for n in names]
         if not all(0 < d.sigma < np.inf and d.nominal for d in both):
             continue
-        if set(pair[:2]) & set(said.get("fixed", ())):
+        if set(names) & set(said.get("fixed", ())):
             continue
         better, worse = sorted(both, key=lambda d: (d.name in named, d.sigma / abs(d.nominal)))
         held.append(better.name)
         note(
             better.name,
             f"held at {better.nominal:.4g} {better.unit}",
-            f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its own "
+            f"{shown_by} shows only its ratio to {worse.name}, which is known less well; its own "
             f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
             "--fixed, --considered",
         )

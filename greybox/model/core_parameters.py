@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from greybox.model.bounds import core_bounds
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
+
+
+def leading(kind: str, values: Mapping[str, float]) -> str:
+    """The coefficient that the map of `kind`, "thrust" or "torque", mostly consists of at full
+    speed: thrust.c1 of one that is linear in the command."""
+    return max((f"{kind}.c{k}" for k in (2, 1, 0)), key=lambda name: abs(values[name]))
 
 
 def core_parameters(vehicle: Vehicle) -> tuple[Parameter, ...]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.errors import FitError
+from greybox.model.core_parameters import leading
 from greybox.model.identified import IdentifiedModel
 from greybox.planning.limits import Limits
 from greybox.planning.manoeuvres import Manoeuvre, flown_together
@@ -140,11 +141,7 @@ def authority(model: IdentifiedModel, limits: Limits) -> FloatArray:
             fix="greybox vehicle check; widen --command",
         )
     place = np.abs([r.position for r in vehicle.rotors])
-    lever = (
-        abs(v["torque.c2"] / v["thrust.c2"])
-        if v["thrust.c2"]
-        else abs(v["torque.c1"] / v["thrust.c1"])
-    )
+    lever = abs(v[leading("torque", v)] / v[leading("thrust", v)])
     moments = spare * np.array([place[:, 1].sum(), place[:, 0].sum(), n * lever])
     inertia = np.array([v[f"inertia.{a}{a}"] for a in "xyz"])
     return np.append(moments / inertia, n * spare / weight)

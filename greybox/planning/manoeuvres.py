@@ -20,6 +20,7 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import FitError, ModelError
 from greybox.estimation.engine import engine_for
 from greybox.frames import numeric
+from greybox.model.core_parameters import leading
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.linearise import trim
@@ -361,7 +362,8 @@ class _Pilot:
         self.mass, self.gravity = v["mass"], float(vehicle.gravity)
         self.inertia = np.array([v[f"inertia.{a}{a}"] for a in "xyz"])
         self.thrust = [v[f"thrust.c{k}"] for k in range(3)]
-        lever = v["torque.c2"] / v["thrust.c2"] if v["thrust.c2"] else 0.0
+        thrust = v[leading("thrust", v)]
+        lever = v[leading("torque", v)] / thrust if thrust else 0.0
         place = np.array([r.position for r in vehicle.rotors], dtype=float)
         spin = np.array([r.spin for r in vehicle.rotors], dtype=float)
         mix = np.stack([np.ones(len(spin)), place[:, 1], -place[:, 0], -lever * spin])

@@ -121,6 +121,16 @@ def test_the_better_known_of_two_numbers_of_which_only_the_ratio_shows_is_held_a
         assert "only its ratio" in said.reason
 
 
+def test_a_map_that_is_linear_in_the_command_is_its_slope():
+    own = vehicle(mass=0.01)
+    c0, c1, c2 = own.actuator.thrust
+    linear = replace(own, actuator=replace(own.actuator, thrust=(c0, c2, c1)))
+    _, found = decided(flights(IMU, seeds=(1,)), craft=linear)
+    assert found.recipe.options.considered == ("mass",)
+    (said,) = [d for d in found.decisions if d.about == "mass"]
+    assert "its ratio to thrust.c1" in said.reason
+
+
 def test_the_trim_of_a_single_flight_is_no_other_flights():
     """A new flight finds its own from the value of the one that was fitted, within what the vehicle
     file says."""
