@@ -315,15 +315,20 @@ def _begins(vehicle: Airframe, known: _Map, sums: Sums) -> Verdict | None:
 
 def _of_thrust(known: _Map, sums: Sums) -> Verdict | None:
     """Commands in proportion to thrust where the map takes them for rotor speeds; None where that
-    does not tell far more, or does not carry the craft any better."""
+    does not tell more, and far more if the map as it is carries the craft, too, or where it does
+    not carry the craft any better."""
     total, left = sums.total, sums.left_out.left
     rest, level = total.left[:, 0], total.level[:, 0]
     gained = float(rest[0] - rest[-1]) - CLEAR * jackknife(left[0] - left[-1])
-    if gained < -math.log(LEFT) or rest[-1] > math.log(1.0 - SEEN) or not level[0] > 0.0:
+    if rest[-1] > math.log(1.0 - SEEN) or not level[0] > 0.0:
         return None
     off, off_shares = abs(math.log(float(level[0]))), abs(math.log(float(level[-1])))
-    speed = float(_speed_of_share(np.array(float(sums.u.sum() / sums.count.sum()))))
-    if off_shares > min(off, CLEAR * known.spread(speed)):
+    u = float(sums.u.sum() / sums.count.sum())
+    carries = off <= CLEAR * known.spread(u)
+    speed = float(_speed_of_share(np.array(u)))
+    if gained < (-math.log(LEFT) if carries else 0.0) or off_shares > min(
+        off, CLEAR * known.spread(speed)
+    ):
         return None
     steep, full = float(total.steepness[0, 0]), float(known.promised(np.array(1.0)))
     return Verdict(
@@ -332,7 +337,8 @@ def _of_thrust(known: _Map, sums: Sums) -> Verdict | None:
         message=f"grows {steep:.2g} times as steeply with the commands as the file's map says: they "
         "look like shares of thrust, not of rotor speed",
         evidence={"steepness": steep},
-        fix=f"[actuator] thrust = [0, {full:.4g}, 0], and torque likewise; or log the square roots",
+        fix="log the square roots, which are rotor speeds; or [actuator] thrust = "
+        f"[0, {full:.4g}, 0], torque likewise, and no speed_max",
     )
 
 
