@@ -14,7 +14,7 @@ from typing import Literal
 from greybox.automatic.facts import Facts
 from greybox.model.composition import SHAPING, acts_on_speeds
 from greybox.model.effect import Effect
-from greybox.model.effects import effect_by_name
+from greybox.model.effects import CATALOGUE, effect_by_name
 from greybox.model.vehicle import Vehicle
 
 APART = 0.3
@@ -73,6 +73,9 @@ BASE = Step(
     ),
 )
 
+ALONE = Step(name="no lag", effects=("gyro_bias", "accelerometer_bias"))
+"""What is tried before the base where `lag_is_a_jump`."""
+
 TRIM = Step(
     name="trim of each flight",
     effects=("rotor_asymmetry", "mocap_misalignment"),
@@ -119,6 +122,13 @@ def nested_sets(
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
     return tuple(steps)
+
+
+def lag_is_a_jump(vehicle: Vehicle) -> bool:
+    """Whether rotors without a lag differ from those with a very short one: an effect of the file
+    feels how fast they change speed. A fit that starts with a lag does not get there."""
+    felt = any("rotor-acceleration" in e.tags and e.name in vehicle.effects for e in CATALOGUE)
+    return felt and "motor_lag" not in vehicle.effects
 
 
 def _there(name: str, vehicle: Vehicle, input: str) -> bool:

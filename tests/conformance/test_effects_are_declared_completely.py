@@ -19,7 +19,7 @@ from greybox.model.effect import EARLY, SLOTS, Effect, Stage
 from greybox.model.effects import CATALOGUE, effect_by_name
 from greybox.model.sensors import SENSORS
 
-TAGS = {"dissipative", "workless", "zero-at-rest", "linear-in-parameters"}
+TAGS = {"dissipative", "workless", "zero-at-rest", "linear-in-parameters", "rotor-acceleration"}
 every_effect = pytest.mark.parametrize("effect", effects_under_test())
 
 

@@ -145,6 +145,16 @@ def test_linear_effects_have_no_curvature_in_their_parameters(effect):
         assert np.abs(curvature(rng.normal(size=len(names))).full()).max() == 0.0
 
 
+def test_rotor_acceleration_is_claimed_exactly_where_it_is_felt():
+    rng = np.random.default_rng(9)
+    for effect in CATALOGUE:
+        flow = random_flow(rng)
+        speeding = ca.SX.sym("nu_rate", flow.nu_rate.shape[0])
+        slots = effect.apply(replace(flow, nu_rate=speeding), own_values(effect, rng))
+        felt = any(ca.depends_on(ca.vec(ca.SX(v)), speeding) for v in slots.values())
+        assert felt == ("rotor-acceleration" in effect.tags), effect.name
+
+
 def test_linearity_is_claimed_wherever_it_holds():
     rng = np.random.default_rng(8)
     missed = []

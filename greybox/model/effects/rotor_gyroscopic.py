@@ -30,7 +30,7 @@ class RotorGyroscopic(Effect):
         "EPFL thesis",
     )
     validity = "rigid rotors with parallel axes"
-    tags = frozenset({"linear-in-parameters"})
+    tags = frozenset({"linear-in-parameters", "rotor-acceleration"})
     case = ReferenceCase(
         parameters={"J_r": 1e-5},
         flow={
