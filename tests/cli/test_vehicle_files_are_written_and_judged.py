@@ -106,6 +106,16 @@ SLIPS = {
         "actuator.thrust",
         "gram-force",
     ),
+    "thrust per (rad/s)^2": (
+        {"actuator__thrust": [0.0, 0.0, 1.2e-6], "actuator__speed_max": 2500.0},
+        "actuator.thrust",
+        "per (rad/s)^2",
+    ),
+    "thrust per rpm^2": (
+        {"actuator__thrust": [0.0, 0.0, 1.3e-8], "actuator__speed_max": 2500.0},
+        "actuator.thrust",
+        "per rpm^2",
+    ),
     "too weak": ({"actuator__thrust": [0.0, 0.0, 1.0]}, "actuator.thrust", "thrust of one rotor"),
     "negative torque": ({"actuator__torque": [0.0, 0.0, -0.07]}, "actuator.torque", "spin"),
     "no torque map": ({"actuator__torque": [0.0, 0.0, 0.0]}, "rotor", "torque map"),
