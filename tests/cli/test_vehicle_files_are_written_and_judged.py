@@ -135,6 +135,17 @@ def test_a_slip_blocks_and_its_fix_says_what_it_was(slip):
     assert not report.ok
 
 
+@pytest.mark.parametrize(("thrust", "top"), [(1, 1000.0), (1, None), (2, 1000.0)])
+def test_thrust_in_proportion_to_a_rotor_speed_gets_a_warning(thrust, top):
+    """Effects that feel rotor speed are fitted wrongly then: J_r by a quarter, 23 sigma."""
+    speed = {} if top is None else {"actuator__speed_max": top}
+    report = check_vehicle(
+        changed(actuator__thrust=[9.0 * (k == thrust) for k in range(3)], **speed)
+    )
+    told = [f for f in report.findings if "which speed_max takes for rotor speed" in f.message]
+    assert [f.severity for f in told] == ["warning"] * (thrust == 1 and top is not None)
+
+
 def test_spins_that_leave_no_yaw_are_found():
     rotors = tomllib.loads(template_text("x"))["rotor"]
     for spins in ((1, 1, 1, 1), (1, 1, -1, -1), (1, -1, -1, 1)):

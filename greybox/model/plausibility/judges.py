@@ -182,6 +182,7 @@ def thrust(c: Craft) -> Iterator[Implausible]:
     """Thrust to weight, the shape of the thrust map and the hover command."""
     yield from _thrust_to_weight(c)
     yield from _thrust_map(c)
+    yield from _thrust_of_speed(c)
     yield from _hover_command(c)
 
 
@@ -216,6 +217,19 @@ def _thrust_to_weight(c: Craft) -> Iterator[Implausible]:
             "a thrust-to-weight ratio of 1.3 to 12",
             f"{ratio:.3g}",
             "give the thrust of one rotor at u_max in N",
+        )
+
+
+def _thrust_of_speed(c: Craft) -> Iterator[Implausible]:
+    act = c.vehicle.actuator
+    if act.speed_max and act.thrust[1].value and not act.thrust[2].value:
+        yield Implausible(
+            "warning",
+            "actuator.thrust",
+            "in proportion to the command, which speed_max takes for rotor speed",
+            "thrust that grows with the square of rotor speed",
+            "c2 = 0",
+            "log the square root of a command that is a share of thrust, or leave speed_max out",
         )
 
 
