@@ -24,7 +24,8 @@ class CommandDelay(Effect):
     )
     early = frozenset({"delay"})
     beyond = (
-        "commands are logged about {0:.2g} s later than they act; add {1:.3g} (whole rows) to the "
+        "commands are logged about {0:.2g} s later than they act, or physics that the model lacks "
+        "looks like that (greybox discover); where they are late, add {1:.3g} (whole rows) to the "
         "delay in [columns.command] (0 where none is said) and fit again"
     )
     case = ReferenceCase(
