@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from craft import CROOKED, flat, function, model_of, state, vector
 
+from greybox.model.effects.steady_wind import SteadyWind
+
 AIRSPEED = (
     *("rotor_drag", "linear_drag", "parasitic_drag", "blade_flapping"),
     *("axial_inflow", "translational_lift"),
@@ -57,3 +59,12 @@ def test_wind_alone_is_not_felt():
     np.testing.assert_array_equal(
         rates((), np.array([1.0, 2.0, -0.5]), WIND), rates((), [1.0, 2.0, -0.5], [0, 0, 0])
     )
+
+
+def test_no_air_sinks_as_fast_as_wind_blows():
+    """A sinking wind of 6 m/s beside a flapping was the name of a damping that remembers."""
+    along, across, up = SteadyWind().parameters(CROOKED)
+    for d in (along, across):
+        assert d.excess(-12.0) < 0
+    assert up.excess(-5.94) > 0
+    assert up.excess(1.5) < 0

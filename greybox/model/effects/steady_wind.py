@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import casadi as ca
@@ -15,8 +16,12 @@ BREEZE = 4.0
 """Typical wind [m/s], a gentle breeze: 3.4 to 5.4 m/s (World Meteorological Organization, Guide to
 Instruments and Methods of Observation, Beaufort scale)."""
 RISES = 0.05
-"""Its part upwards: near the ground the mean flow is along it, inclined by 8 degrees at most, three
-times this (IEC 61400-1, 6.3)."""
+"""Its part upwards: near the ground the mean flow is along it, inclined by a third of
+`STEEPEST`."""
+STEEPEST = math.radians(8.0)
+"""Largest inclination of the mean flow [rad] (IEC 61400-1, 6.3)."""
+STRONGEST = 30.0
+"""Largest wind along one axis [m/s]; no air rises or sinks faster than that so inclined."""
 
 
 class SteadyWind(Effect):
@@ -55,13 +60,13 @@ class SteadyWind(Effect):
 
     def parameters(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """w_x, w_y, w_z [m/s] world; scope flight."""
-        every: Declaration = {"scope": "flight", "lower": -30.0, "upper": 30.0}
-        axes = (("xy", BREEZE), ("z", BREEZE * RISES))
+        every: Declaration = {"scope": "flight", "lower": -STRONGEST, "upper": STRONGEST}
+        up: Declaration = {**every, "possible": STRONGEST * math.tan(STEEPEST)}
         return tuple(
             parameter
-            for letters, scale in axes
+            for letters, scale, of in (("xy", BREEZE, every), ("z", BREEZE * RISES, up))
             for parameter in vector_parameters(
-                "w_", letters, unit="m/s", meaning="wind", scale=scale, **every
+                "w_", letters, unit="m/s", meaning="wind", scale=scale, **of
             )
         )
 
