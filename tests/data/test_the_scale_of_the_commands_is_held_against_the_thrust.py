@@ -139,6 +139,20 @@ def test_shares_of_thrust_are_no_rotor_speeds(flown):
     assert said(shares, replace(craft, actuator=replace(craft.actuator, thrust=mended))) == ()
 
 
+def test_a_map_that_takes_commands_for_shares_is_not_told_that_they_are(flown):
+    """Before, the fix of a slope that feedback made smaller was the map of the file."""
+    raw, craft = flown
+    full = sum(q.value for q in craft.actuator.thrust)
+    linear = tuple(Quantity(value=v) for v in (0.0, full, 0.0))
+    taken = replace(craft, actuator=replace(craft.actuator, thrust=linear))
+    shares = {n: raw.channels[n] ** 2 for n in COMMANDS}
+    wide = {n: np.clip(u.mean() + 2.0 * (u - u.mean()), 0.01, 1.0) for n, u in shares.items()}
+    heavy = replace(taken, mass=Quantity(value=2.0 * craft.mass.value))
+    (found,) = said(with_channels(raw, **wide), heavy)
+    assert "shares" not in found.message and "weigh the craft" in found.fix
+    assert said(with_channels(raw, **wide), taken) == ()
+
+
 def test_gusts_that_hide_the_slope_leave_it_enough_where_the_level_asks_for_shares(flown):
     """Before, a craft that 1.9 times the promised thrust carries had a wrong mass, no more."""
     raw, craft = flown

@@ -157,6 +157,11 @@ class _Map:
         nu = (1.0 - self.curve) * u + self.curve * u**2
         return c0 + nu * (c1 + c2 * nu)
 
+    @property
+    def full(self) -> float:
+        """Thrust [N] at u = 1: where commands are shares of thrust, that of which they are."""
+        return float(self.promised(np.array(1.0)))
+
     def spread(self, u: float) -> float:
         """Standard deviation of the log of thrust over weight at a mean command."""
         of = [s * u**i for i, s in enumerate(self.sigmas)]
@@ -190,11 +195,6 @@ def _curved(u: FloatArray, f: float) -> FloatArray:
     return (1.0 - f) * u + f * u**2
 
 
-def _speed_of_share(u: FloatArray) -> FloatArray:
-    """Rotor speeds of commands that are shares of the thrust."""
-    return np.sqrt(np.maximum(u, 0.0))
-
-
 def _sums(view: View) -> Sums | str:
     """The sums of a flight, or why there are none."""
     known = _map(view.vehicle)
@@ -223,9 +223,10 @@ def _sums(view: View) -> Sums | str:
     blocks = np.array_split(rows, BLOCKS)
     begun = (_begun(u, float(v)) for v in ZEROS * float(np.nanmean(u[rows])))
     curved = (_curved(u, float(f)) for f in CURVES)
+    tried = (known.promised(changed) for changed in itertools.chain(begun, curved))
     sums = np.zeros((3, ZEROS.size + CURVES.size + 1, BLOCKS))
-    for k, changed in enumerate(itertools.chain(begun, curved, [_speed_of_share(u)])):
-        x = shifted(parts(known.promised(changed).sum(axis=1, keepdims=True)), lag)
+    for k, promised in enumerate(itertools.chain(tried, [known.full * u])):
+        x = shifted(parts(promised.sum(axis=1, keepdims=True)), lag)
         for j, b in enumerate(blocks):
             sums[:, k, j] = x[b, 0].sum(), (x[b, 1] ** 2).sum(), (x[b, 1] * y[b, 1]).sum()
     if not y[rows, 0].mean() > LEAST * known.mass * view.vehicle.gravity:
@@ -320,17 +321,16 @@ def _of_thrust(known: _Map, sums: Sums) -> Verdict | None:
     total, left = sums.total, sums.left_out.left
     rest, level = total.left[:, 0], total.level[:, 0]
     gained = float(rest[0] - rest[-1]) - CLEAR * jackknife(left[0] - left[-1])
-    if rest[-1] > math.log(1.0 - SEEN) or not level[0] > 0.0:
+    if rest[-1] > math.log(1.0 - SEEN) or not min(level[0], level[-1]) > 0.0:
         return None
     off, off_shares = abs(math.log(float(level[0]))), abs(math.log(float(level[-1])))
     u = float(sums.u.sum() / sums.count.sum())
     carries = off <= CLEAR * known.spread(u)
-    speed = float(_speed_of_share(np.array(u)))
-    if gained < (-math.log(LEFT) if carries else 0.0) or off_shares > min(
-        off, CLEAR * known.spread(speed)
+    if gained <= (-math.log(LEFT) if carries else 0.0) or off_shares > min(
+        off, CLEAR * known.spread(1.0)
     ):
         return None
-    steep, full = float(total.steepness[0, 0]), float(known.promised(np.array(1.0)))
+    steep = float(total.steepness[0, 0])
     return Verdict(
         claim="shares",
         severity="warning",
@@ -338,7 +338,7 @@ def _of_thrust(known: _Map, sums: Sums) -> Verdict | None:
         "look like shares of thrust, not of rotor speed",
         evidence={"steepness": steep},
         fix="log the square roots, which are rotor speeds; or [actuator] thrust = "
-        f"[0, {full:.4g}, 0], torque likewise, and no speed_max",
+        f"[0, {known.full:.4g}, 0], torque likewise, and no speed_max",
     )
 
 
