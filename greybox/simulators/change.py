@@ -27,6 +27,15 @@ class Change:
     def __bool__(self) -> bool:
         return bool(self.values or self.without or self.instead or self.gravity is not None)
 
+    def then(self, after: Change) -> Change:
+        """Both in one, the other `after` this one."""
+        return Change(
+            values={**self.values, **after.values},
+            without=(*self.without, *after.without),
+            instead=(*(e for e in self.instead if e.name not in after.without), *after.instead),
+            gravity=self.gravity if after.gravity is None else after.gravity,
+        )
+
 
 def changed(craft: Craft, changes: Iterable[Change]) -> Craft:
     """The craft after all of the changes."""

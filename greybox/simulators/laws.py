@@ -17,7 +17,7 @@ from greybox.model.effects.linear_drag import LinearDrag
 from greybox.model.flow import Flow
 from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
-from greybox.simulators.change import Change, changed
+from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
 from greybox.simulators.words import GYROSCOPIC, Status, Word, Wording
 from greybox.symbolic import Expr, FloatArray
@@ -132,5 +132,4 @@ def drag_into_rotors(wording: Wording) -> None:
     have = {e.name for e in craft.physics.effects}
     missing = tuple(effect_by_name(n) for n in ("rotor_drag", "axial_inflow") if n not in have)
     whole = Change(without=("linear_drag",), instead=missing, values=values)
-    wording.folded("linear_drag", "as drag and inflow of the rotors, equal at hover speed", whole)
-    wording.craft = changed(craft, [whole])
+    wording.becomes("linear_drag", "as drag and inflow of the rotors, equal at hover speed", whole)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from greybox.model.effect import Effect
-from greybox.simulators.change import Change
+from greybox.simulators.change import Change, changed
 from greybox.simulators.craft import Craft
 from greybox.simulators.learned import has_learned, is_of_motion
 from greybox.symbolic import FloatArray
@@ -40,15 +40,22 @@ class Word:
 @dataclass
 class Wording:
     """Collects the rows of one target for `craft`. Effects that the model does not have make no
-    row. A law that changes the craft for the rows after it replaces `craft`."""
+    row. Where an effect `becomes` others, rows after it are of the craft that has these."""
 
     craft: Craft
     simulator: str
     rows: list[Word] = field(default_factory=list)
     first: tuple[str, ...] = ()
+    host: Word | None = None
 
     def __post_init__(self) -> None:
         self.first = tuple(self.craft.effects)
+
+    def becomes(self, effect: str, how: str, change: Change) -> Self:
+        """Other effects take the place of one, by their parameters in `change`."""
+        self.host = Word(effect=effect, status=Status.FOLDED, how=how, change=change)
+        self.craft = changed(self.craft, [change])
+        return self
 
     def said(self, effect: str, how: str) -> Self:
         """The simulator has the same law."""
@@ -85,6 +92,8 @@ class Wording:
         for name, effect in self.craft.effects.items():
             if name not in have:
                 self.lost(name, _no_term(effect, self.simulator))
+        if self.host is not None:
+            self.rows = _in_one_row(self.host, self.rows, self.first)
         effects = dict.fromkeys((*self.first, *self.craft.effects))
         order = [THRUST_MAP, TORQUE_MAP, GRAVITY, CENTRE, GYROSCOPIC, *effects, LEARNED]
         if self.craft.pushes and LEARNED not in {w.effect for w in self.rows}:
@@ -97,6 +106,26 @@ class Wording:
                 )
             )
         return tuple(sorted(self.rows, key=lambda w: order.index(w.effect)))
+
+
+def _in_one_row(host: Word, rows: list[Word], first: tuple[str, ...]) -> list[Word]:
+    """The rows with all that befalls what an effect became in the row of that effect: apart, one
+    would undo the other. Effects that the model did not have at `first` make no row."""
+    became = {n.split(".")[0] for n in host.change.values}
+    change, hows, kept = host.change, [], []
+    for w in rows:
+        touched = {n.split(".")[0] for n in w.change.values} | set(w.change.without)
+        moved = bool(became & touched)
+        change = change.then(w.change) if moved else change
+        if w.effect in became and w.effect not in first:
+            if moved or w.status is Status.SAID:
+                hows.append(f"{w.effect}: {w.how}")
+        elif moved:
+            kept.append(replace(w, how=f"{w.how}, in the row of {host.effect}", change=Change()))
+        else:
+            kept.append(w)
+    how = host.how + (f" ({'; '.join(hows)})" if hows else "")
+    return [*kept, replace(host, how=how, change=change)]
 
 
 def _given(craft: Craft) -> str:

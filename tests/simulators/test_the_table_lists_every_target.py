@@ -186,3 +186,21 @@ def test_a_battery_is_sized_by_every_target_that_says_it_in_another_way() -> Non
     assert {"rotorpy", "crazyflow", "gazebo", "px4", "ardupilot"} <= set(sizes)
     for target, size in sizes.items():
         assert size is not None and max(map(abs, size.thrust)) > 0.02, target
+
+
+@pytest.mark.parametrize(
+    ("target", "own"), [("pybullet", "world_rotor_drag"), ("gazebo", "rotor_drag")]
+)
+def test_a_drag_that_becomes_another_is_flown_once_and_all_of_it_stands_in_its_row(
+    target: str, own: str
+) -> None:
+    """Drag of the rotors that stood in for a linear drag stayed beside what the rotors' became."""
+    drag = {"linear_drag.d_x": 0.03, "linear_drag.d_y": 0.06, "linear_drag.d_z": 0.2}
+    (statement,) = gb.twin(identified(drag), [target]).statements
+    assert set(statement.spoken.effects) == {own}
+    (row,) = (r for r in statement.rows if r.word.effect.endswith(("drag", "inflow")))
+    assert row.size is not None and statement.whole is not None
+    assert row.size.force == pytest.approx(statement.whole.force, rel=0.2)
+    (beside,) = gb.twin(identified({**drag, "rotor_drag.k_x": 1e-5}), [target]).statements
+    assert set(beside.spoken.effects) == {own}
+    assert "in the row of linear_drag" in {r.word.effect: r.text for r in beside.rows}["rotor_drag"]
