@@ -129,19 +129,21 @@ def guess_columns(
         if _may_be(group, names[0]):
             found.setdefault(group, []).append(tuple(names))
 
+    speeds = _along_the_body(columns)
+    attitudes = list(_attitudes({n: v for n, v in columns.items() if n not in speeds}))
+    turned = {n for _, names in attitudes for n in names}
     for stem, members in _families(columns, _AXES):
         if set(members) == {0, 1, 2}:
-            lone = not stem and _bare(members[0]).lower() == "x"
+            lone = not stem and _bare(members[0]).lower() == "x" and members[0] not in turned
             group = "position" if lone else _meant(stem)
             if group:
                 take(group, [members[i] for i in range(3)])
     for group, numbered in _by_number(columns):
         take(group, numbered)
-    for group, turns in _attitudes(columns):
+    for group, turns in attitudes:
         take(group, turns)
-    for stem, members in _families(columns, {"u": 0, "v": 1, "w": 2}):
-        if not stem and len(members) == 3:
-            take("velocity", [members[i] for i in range(3)])
+    if speeds:
+        take("velocity", speeds)
     for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}):
         if len(members) == 3 and not _wanted(stem):
             take(
@@ -184,6 +186,12 @@ def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
             yield group, [members[i] for i in sorted(members)]
 
 
+def _along_the_body(columns: Iterable[str]) -> list[str]:
+    """The names u, v, w of velocities along the axes of the body; none where not all are there."""
+    found = (m for stem, m in _families(columns, {"u": 0, "v": 1, "w": 2}) if not stem)
+    return next(([m[i] for i in range(3)] for m in found if len(m) == 3), [])
+
+
 def _attitudes(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[str]]]:
     """(group, names) of angles, of a quaternion with its scalar first, or of the turning of angles'
     names."""
@@ -201,8 +209,8 @@ def _attitudes(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
 def _scalar_first(names: list[str], columns: Mapping[str, FloatArray]) -> list[str]:
     """The names of a numbered quaternion, its scalar first: a craft that flies is nearly level, so
     that the two small ones are those about x and y."""
-    size = [float(np.nanmean(columns[n] ** 2)) for n in names]
-    return names if size[1] + size[2] <= size[0] + size[1] else [names[3], *names[:3]]
+    size = [float(np.nansum(columns[n] ** 2)) for n in names]
+    return names if size[2] <= size[0] else [names[3], *names[:3]]
 
 
 def _battery(name: str) -> bool:

@@ -250,6 +250,26 @@ def test_velocities_u_v_w_are_those_of_the_body_in_the_frame_of_the_imu() -> Non
         assert {g.group: g.frame for g in found}["velocity"] == frame
 
 
+@pytest.mark.parametrize("unit", ["", "[SI]"])
+def test_a_letter_of_the_textbooks_is_one_thing_by_what_stands_beside_it(unit: str) -> None:
+    """Of x, y, z, u, v, w a quaternion was made of w and the place, and the angles were passed."""
+    names = ["x", "y", "z", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi"]
+    found = {g.group: g.fields for g in guess_columns({n + unit: np.ones(50) for n in names})}
+    assert found["attitude"] == tuple(n + unit for n in ("phi", "theta", "psi"))
+    assert found["velocity"] == tuple(n + unit for n in "uvw")
+    assert found["position"] == tuple(n + unit for n in "xyz")
+    (turn,) = guess_columns({n: np.ones(50) for n in "wxyz"})
+    assert (turn.group, turn.fields) == ("attitude", tuple("wxyz"))
+
+
+def test_a_numbered_quaternion_of_no_numbers_is_guessed_in_silence(
+    recwarn: pytest.WarningsRecorder,
+) -> None:
+    (guess,) = guess_columns({f"q{i}": np.full(50, np.nan) for i in range(4)})
+    assert guess.fields == ("q0", "q1", "q2", "q3") and "no numbers" in guess.why
+    assert not recwarn.list
+
+
 def test_a_draft_without_commands_says_what_is_to_be_filled_in(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
