@@ -106,7 +106,8 @@ class Flight(Shown):
         """The flight as the log that it might have been read from; its gaps are gaps of the
         clock."""
         t = np.concatenate([s.t for s in self.segments])
-        others = set.intersection(*(set(s.extra) for s in self.segments))
+        first, *rest = self.segments
+        others = [n for n in first.extra if all(n in s.extra for s in rest)]
         return RawLog(
             t=t,
             channels={

@@ -152,3 +152,15 @@ def test_a_cut_segment_remembers_what_was_before():
     assert np.array_equal(pickle.loads(pickle.dumps(cut)).earlier["u1"], np.full(20, 0.5))
     assert np.array_equal(cut.rows(0, 10).earlier["p"], cut.earlier["p"])
     assert np.array_equal(cut.rows(5, 40).earlier["p"], np.sin(T[35:55]))
+
+
+def test_a_flight_as_a_log_keeps_the_order_of_its_columns():
+    """Before, it was that of a set: another in each run."""
+    names = [f"column{i}" for i in range(20)]
+    parts = tuple(
+        Segment(t=T + at, channels={"p": T}, flight="a", extra=dict.fromkeys(names, T))
+        for at in (0.0, 5.0)
+    )
+    log = Flight(name="a", segments=parts).as_log()
+    assert list(log.extra) == names
+    assert log.t.size == log.extra["column0"].size == 200
