@@ -18,10 +18,9 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.errors import FitError
-from greybox.model.core_parameters import leading
 from greybox.model.identified import IdentifiedModel
 from greybox.planning.limits import Limits
-from greybox.planning.manoeuvres import Manoeuvre, flown_together
+from greybox.planning.manoeuvres import Manoeuvre, flown_together, yaw_lever
 from greybox.symbolic import FloatArray
 
 LEVELS = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)
@@ -141,8 +140,7 @@ def authority(model: IdentifiedModel, limits: Limits) -> FloatArray:
             fix="greybox vehicle check; widen --command",
         )
     place = np.abs([r.position for r in vehicle.rotors])
-    lever = abs(v[leading("torque", v)] / v[leading("thrust", v)])
-    moments = spare * np.array([place[:, 1].sum(), place[:, 0].sum(), n * lever])
+    moments = spare * np.array([place[:, 1].sum(), place[:, 0].sum(), n * abs(yaw_lever(model))])
     inertia = np.array([v[f"inertia.{a}{a}"] for a in "xyz"])
     return np.append(moments / inertia, n * spare / weight)
 

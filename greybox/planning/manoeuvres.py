@@ -20,7 +20,6 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import FitError, ModelError
 from greybox.estimation.engine import engine_for
 from greybox.frames import numeric
-from greybox.model.core_parameters import leading
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.linearise import trim
@@ -353,6 +352,17 @@ class _Course:
         return cls(here=here, velocity=velocity, push=push, twist=twist, voltage=voltage)
 
 
+def yaw_lever(model: IdentifiedModel) -> float:
+    """Torque over thrust [m] that a rotor gains over the range of its command."""
+    actuator, v = model.physics.vehicle.actuator, model.values
+    low, high = (np.array([1.0, u, u * u]) for u in (actuator.u_min, actuator.u_max))
+    thrust, torque = (
+        float(np.array([v[f"{kind}.c{k}"] for k in range(3)]) @ (high - low))
+        for kind in ("thrust", "torque")
+    )
+    return torque / thrust if thrust else 0.0
+
+
 class _Pilot:
     """The cascade controller of one model, for many craft at once. What its maps miss at the
     `hover` command (rotors,) is fed forward."""
@@ -362,8 +372,7 @@ class _Pilot:
         self.mass, self.gravity = v["mass"], float(vehicle.gravity)
         self.inertia = np.array([v[f"inertia.{a}{a}"] for a in "xyz"])
         self.thrust = [v[f"thrust.c{k}"] for k in range(3)]
-        thrust = v[leading("thrust", v)]
-        lever = v[leading("torque", v)] / thrust if thrust else 0.0
+        lever = yaw_lever(model)
         place = np.array([r.position for r in vehicle.rotors], dtype=float)
         spin = np.array([r.spin for r in vehicle.rotors], dtype=float)
         mix = np.stack([np.ones(len(spin)), place[:, 1], -place[:, 0], -lever * spin])

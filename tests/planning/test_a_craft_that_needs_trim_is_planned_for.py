@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import importlib
 import tomllib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from greybox.errors import FitError, GreyboxError
+from greybox.model.parameter import ParameterValues
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import template_text
 from greybox.planning import plan
-from greybox.planning.excitation_blocks import excitation_blocks
+from greybox.planning.excitation_blocks import authority, excitation_blocks
 from greybox.planning.limits import Limits, command_range
-from greybox.planning.manoeuvres import Manoeuvre, Trial, flown, tried_together
+from greybox.planning.manoeuvres import Manoeuvre, Trial, flown, tried_together, yaw_lever
 from greybox.planning.planning_case import planning_case
 
 HOVER = Manoeuvre(name="hover", text="hover", unit="", amplitudes=(0.0,))
@@ -122,3 +124,24 @@ def test_a_path_that_is_lost_at_its_last_sample_is_refused_in_one_line(monkeypat
     split = [[(SimpleNamespace(seconds=5.0), 1.0)] * 4] * flights
     with pytest.raises(FitError, match="loses its path"):
         plan._kept(SimpleNamespace(sample_time=dt), None, split)
+
+
+@pytest.mark.parametrize(
+    "shape", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.2, 0.4, 0.4), (-2, 1.5, 1.5)]
+)
+def test_yaw_has_the_lever_of_the_maps_whatever_power_they_are_of(shape):
+    """Of a map that stands on several powers one was taken, and of an offset the wrong sign."""
+    plain = planning_case(crazyflie(), effects=(), values={}).flying
+    lever = plain.values["torque.c2"] / plain.values["thrust.c2"]
+    maps = {
+        f"{kind}.c{k}": share * plain.values[f"{kind}.c2"]
+        for kind in ("thrust", "torque")
+        for k, share in enumerate(shape)
+    }
+    maps["torque.c0"] = 0.0  # yaw is what torques differ by
+    model = replace(plain, values=ParameterValues({**plain.values, **maps}))
+    assert yaw_lever(model) == pytest.approx(lever)
+    turning = authority(model, Limits(command=(0.0, 1.0)))
+    assert turning[2] == pytest.approx(
+        turning[3] * model.values["mass"] * 9.81 * lever / model.values["inertia.zz"], rel=0.01
+    )
