@@ -31,17 +31,16 @@ from greybox.automatic.filters import (
 )
 from greybox.automatic.pieces import SHORTEST, first_parts
 from greybox.automatic.sets import (
-    ALONE,
     LATE_POSE,
     TRIMMED,
     Step,
     effects_of,
     lag_is_a_jump,
     listed,
-    name_of,
     names_of,
     nested_sets,
     shares_effect,
+    without_lag,
 )
 from greybox.automatic.setting import (
     Given,
@@ -218,7 +217,7 @@ class _Comparison:
         first = self.trials.tried(steps[:1], options, None)
         if first is None:
             return steps[:1], options, None
-        tried = [*self._alone(steps[0], options), *self._nested(steps, options, first)]
+        tried = [*self._lagless(steps[0], options), *self._nested(steps, options, first)]
         chosen = self.trials.without_unfelt(likeliest_of_the_good(tried), options)
         options, posed = self._poses(options, chosen)
         if posed is not chosen:
@@ -232,13 +231,12 @@ class _Comparison:
         options, chosen = self._criterion(options, chosen)
         return chosen.steps, self._started(options, chosen), chosen
 
-    def _alone(self, base: Step, options: FitOptions) -> list[Candidate]:
-        """The base set without what rotors do, where they may have no lag."""
+    def _lagless(self, base: Step, options: FitOptions) -> list[Candidate]:
+        """The base set without a lag, where rotors may have none."""
         asked = self.setting.given.effects is not None or "motor_lag" not in names_of(base)
         if asked or not lag_is_a_jump(self.setting.vehicle):
             return []
-        usable = tuple(e for e in base.effects if name_of(e) in names_of(ALONE))
-        got = self.trials.tried((replace(ALONE, effects=usable),), options, None)
+        got = self.trials.tried((without_lag(base),), options, None)
         if got is None:
             return []
         self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")

@@ -8,7 +8,7 @@ clocks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from greybox.automatic.facts import Facts
@@ -73,9 +73,6 @@ BASE = Step(
     ),
 )
 
-ALONE = Step(name="no lag", effects=("gyro_bias", "accelerometer_bias"))
-"""What is tried before the base where `lag_is_a_jump`."""
-
 TRIM = Step(
     name="trim of each flight",
     effects=("rotor_asymmetry", "mocap_misalignment"),
@@ -122,6 +119,12 @@ def nested_sets(
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
     return tuple(steps)
+
+
+def without_lag(base: Step) -> Step:
+    """The base set that is tried, too, where `lag_is_a_jump`."""
+    kept = tuple(e for e in base.effects if name_of(e) != "motor_lag")
+    return replace(base, name="no lag", effects=kept)
 
 
 def lag_is_a_jump(vehicle: Vehicle) -> bool:

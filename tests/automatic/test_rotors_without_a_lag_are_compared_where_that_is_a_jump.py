@@ -13,17 +13,19 @@ from greybox.data import Dataset
 from greybox.excitation.hover import Hover
 from greybox.excitation.injection import rich_excitation
 from greybox.model.vehicle import read_vehicle
-from greybox.plants.effects import MotorLag, RotorGyroscopic
+from greybox.plants.effects import CommandDelay, MotorLag, RotorGyroscopic
 from greybox.plants.flight_log import fly
 from greybox.plants.presets import controller_for, nano
 from greybox.plants.vehicle_file import write_vehicle
 from tests.automatic.craft import flight
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.05])
-def test_a_lag_is_taken_up_where_there_is_one(lag, tmp_path):
-    """Before, the momentum of rotors without a lag was fitted away, for a lag of 5 ms."""
-    plant = nano([RotorGyroscopic(J_r=3e-7), *([MotorLag(tau=lag)] if lag else [])])
+@pytest.mark.parametrize(("lag", "delay"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.02)])
+def test_a_lag_is_taken_up_where_there_is_one(lag, delay, tmp_path):
+    """Before, the momentum of rotors without a lag was fitted away, for a lag of 5 ms; beside a
+    delay of the commands it still was, for one of 1 ms."""
+    own = [*([MotorLag(tau=lag)] if lag else []), *([CommandDelay(d=delay)] if delay else [])]
+    plant = nano([RotorGyroscopic(J_r=3e-7), *own])
     path = write_vehicle(
         tmp_path / "v.toml",
         plant,
