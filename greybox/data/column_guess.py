@@ -221,13 +221,15 @@ def _battery(name: str) -> bool:
 
 def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
     """The same with frames: where the accelerometer's z says gravity downwards, x forward and y to
-    the right go with it, in all that one IMU says and in velocities u, v, w, which are those along
-    the axes of the body; "down" is a name."""
+    the right go with it, in all that one IMU says; "down" is a name. Velocities u, v, w, which are
+    those along the axes of the body, follow both."""
     found = tuple(guesses)
     turned = any(g.group == "specific_force" and g.frame for g in found)
     frames = {"rate": "FRD", "attitude": "FRD/NED"} if turned else {}
+    down = turned or any(g.frame == "NED" for g in found)
+    along = f"along the body, z {'down' if down else 'up, as nothing says down'}"
     return tuple(
-        replace(g, frame="FRD" if turned else "FLU")
+        replace(g, frame="FRD" if down else "FLU", why=f"{g.why}; {along}")
         if g.group == "velocity" and _bare(g.fields[0]).lower() == "u"
         else replace(g, frame=g.frame or frames.get(g.group, ""))
         for g in found

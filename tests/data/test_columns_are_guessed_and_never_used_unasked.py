@@ -250,6 +250,14 @@ def test_velocities_u_v_w_are_those_of_the_body_in_the_frame_of_the_imu() -> Non
         assert {g.group: g.frame for g in found}["velocity"] == frame
 
 
+def test_velocities_u_v_w_beside_a_place_that_counts_downwards_have_z_down() -> None:
+    names = ("pn", "pe", "pd", "u", "v", "w")
+    found = {g.group: g for g in guess_columns({n: np.ones(50) for n in names})}
+    assert (found["position"].frame, found["velocity"].frame) == ("NED", "FRD")
+    (alone,) = guess_columns({n: np.ones(50) for n in "uvw"})
+    assert alone.frame == "FLU" and "nothing says down" in alone.why
+
+
 @pytest.mark.parametrize("unit", ["", "[SI]"])
 def test_a_letter_of_the_textbooks_is_one_thing_by_what_stands_beside_it(unit: str) -> None:
     """Of x, y, z, u, v, w a quaternion was made of w and the place, and the angles were passed."""
