@@ -109,7 +109,9 @@ def fold_drag(
     whole = Change(without=there, instead=(law,), values=values)
     wording.folded(
         there[0],
-        f"{how}, at hover speed" + (f" (with {', '.join(there[1:])})" if there[1:] else ""),
+        how
+        + ", at hover speed" * (there != ("linear_drag",))
+        + (f" (with {', '.join(there[1:])})" if there[1:] else ""),
         whole,
     )
     for name in there[1:]:

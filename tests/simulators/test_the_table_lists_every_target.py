@@ -204,3 +204,9 @@ def test_a_drag_that_becomes_another_is_flown_once_and_all_of_it_stands_in_its_r
     (beside,) = gb.twin(identified({**drag, "rotor_drag.k_x": 1e-5}), [target]).statements
     assert set(beside.spoken.effects) == {own}
     assert "in the row of linear_drag" in {r.word.effect: r.text for r in beside.rows}["rotor_drag"]
+
+
+def test_a_linear_drag_alone_is_of_no_rotor_speed() -> None:
+    (statement,) = gb.twin(identified({"linear_drag.d_x": 0.03}), ["px4"]).statements
+    (row,) = (r for r in statement.rows if r.word.effect == "linear_drag")
+    assert row.word.status.value == "folded" and "at hover speed" not in row.text
