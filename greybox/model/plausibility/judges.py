@@ -190,10 +190,10 @@ def _thrust_to_weight(c: Craft) -> Iterator[Implausible]:
     ratio = float(c.lift[-1]) / c.weight
     if ratio < 1 or ratio > 40:
         top = c.vehicle.actuator.speed_max or 0.0
+        rpm = 60.0 / math.tau * top
         per_speed = {
             top**2: "newton per (rad/s)^2, to be multiplied by speed_max^2",
-            (60.0 / math.tau * top)
-            ** 2: "newton per rpm^2, to be multiplied by its square at u_max",
+            rpm**2: "newton per rpm^2, to be multiplied by the square of the rpm at u_max",
         }
         slip = _slip(ratio, 1.3, 12, FORCE_UNITS | per_speed)
         fix = (
