@@ -134,7 +134,10 @@ def test_shares_of_thrust_are_no_rotor_speeds(flown):
     assert "shares of thrust" in found.message
     assert found.evidence["steepness"] == pytest.approx(0.5, abs=0.1)
     full = sum(q.value for q in craft.actuator.thrust)
-    assert f"thrust = [0, {full:.4g}, 0]" in found.fix
+    assert f"thrust = [0, {full:.4g}, 0], torque" in found.fix
+    c0, c1, c2 = (replace(q, sigma=0.1 * q.value) for q in craft.actuator.thrust)
+    unsure = replace(craft, actuator=replace(craft.actuator, thrust=(c0, c1, c2)))
+    assert f", thrust_sigma = [0, {0.1 * full:.2g}, 0], torque" in said(shares, unsure)[0].fix
     mended = tuple(Quantity(value=v) for v in (0.0, full, 0.0))
     assert said(shares, replace(craft, actuator=replace(craft.actuator, thrust=mended))) == ()
 

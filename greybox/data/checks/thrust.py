@@ -330,7 +330,8 @@ def _of_thrust(known: _Map, sums: Sums) -> Verdict | None:
         off, CLEAR * known.spread(1.0)
     ):
         return None
-    steep = float(total.steepness[0, 0])
+    steep, sigma = float(total.steepness[0, 0]), math.hypot(*known.sigmas)
+    sure = f", thrust_sigma = [0, {sigma:.2g}, 0]" * bool(sigma)
     return Verdict(
         claim="shares",
         severity="warning",
@@ -338,7 +339,7 @@ def _of_thrust(known: _Map, sums: Sums) -> Verdict | None:
         "look like shares of thrust, not of rotor speed",
         evidence={"steepness": steep},
         fix="log the square roots, which are rotor speeds; or [actuator] thrust = "
-        f"[0, {known.full:.4g}, 0], torque likewise, and no speed_max",
+        f"[0, {known.full:.4g}, 0]{sure}, torque likewise, and no speed_max",
     )
 
 
