@@ -142,10 +142,9 @@ def case_of(cell: str, seed: int) -> Case:
     random = np.random.default_rng([seed, 200, zlib.crc32(kind.encode())])
     simulator = str(random.choice(SIMULATORS))
     gusts, file = bool(random.random() < 0.5), str(random.choice(FILES))
-    own = which if which in OWN else None
     if kind == "outside" and not which:
         which = str(random.choice([*OUTSIDE, *OWN]))
-        own = which if which in OWN else None
+    own = which if kind == "outside" and which in OWN else None
     if own is not None:
         simulator = OWN[own].simulator
     base = draw(seed, simulator)

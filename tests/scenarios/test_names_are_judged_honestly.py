@@ -113,6 +113,7 @@ def test_every_effect_can_be_drawn_and_the_file_does_not_tell_it():
     for seed, name in enumerate(CATALOGUED):
         case = case_of(f"single:{name}", seed)
         assert case.hidden == (name,) and name not in case.declared
+        assert case.own is None, "nothing hides that the truth does not know"
         assert all(key.startswith(f"{name}.") for key in case.truth())
         assert name not in vehicle_file(case)
 
