@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -29,9 +30,8 @@ class DragOfGroundSpeed(LinearDrag):
     formula = "F_j = -d_j v_j"
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
-        """Force through the centre of mass."""
-        gain: Expr = ca.vertcat(p["d_x"], p["d_y"], p["d_z"])
-        return {"force": -gain * flow.velocity}
+        """Force through the centre of mass, as in still air."""
+        return super().apply(replace(flow, wind=ca.DM.zeros(3)), p)
 
 
 def drag_at_hover(craft: Craft) -> FloatArray:
