@@ -141,7 +141,8 @@ ADVICE: tuple[Advice, ...] = (
     Advice(
         symptom=Symptom.FLIGHT_DIFFERS,
         reason="this flight differs from those of the fit (battery, trim, range)",
-        action="--per-flight thrust.c2, or fly in training what is flown here",
+        action="--per-flight thrust.c2 (thrust.c1 where the map is linear), or fly in training "
+        "what is flown here",
     ),
     Advice(
         symptom=Symptom.SATURATED,

@@ -20,6 +20,7 @@ from greybox.estimation.suspects import DENIED
 from greybox.files import Json
 from greybox.model.body import margins
 from greybox.model.composition import acts_on_speeds
+from greybox.model.core_parameters import leading
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import own_parameters, physics_of
@@ -322,7 +323,7 @@ def _curves(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[
         yield Insane(
             severity="impossible",
             kind="value",
-            parameters=free or ("thrust.c2",),
+            parameters=free or (leading("thrust", values),),
             statement=f"the thrust map carries {max(float(np.max(thrust)), 0.0) / weight:.0%} of "
             "the weight at most",
             likely="thrust per command or the mass stands for something else",
@@ -462,7 +463,7 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
 ADVICE: Mapping[str, tuple[str, str]] = {
     "mass": (
         "thrust per command is probably off",
-        "free thrust.c2, hold mass (--fixed mass); add battery_sag where the log has the voltage",
+        "free {thrust}, hold mass (--fixed mass); add battery_sag where the log has the voltage",
     ),
     "thrust": (
         "battery, propellers or the logged commands are not those of the data sheet, or the mass is "
@@ -507,12 +508,13 @@ def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterat
         ):
             continue
         likely, attempt = ADVICE.get(name.partition(".")[0], OTHERS)
-        if name == "mass" and "thrust.c2" in estimates:
+        attempt = attempt.format(thrust=leading("thrust", values))
+        if name == "mass" and leading("thrust", values) in estimates:
             likely = "mass and thrust per command come only as a ratio, and something else moves it"
             attempt = "hold mass (--fixed mass); add battery_sag where the log has the voltage"
         if name == "inertia.zz":
             likely += "; or yaw is hardly excited"
-            attempt = "hold inertia.zz or torque.c2 (--fixed inertia.zz)"
+            attempt = f"hold inertia.zz or {leading('torque', values)} (--fixed inertia.zz)"
         stated, wanted = _said(name, mean, sigma, e.value, e.unit)
         wanted += " or beyond (its bound)" if e.at_bound else ""
         verb = "was weighed" if name == "mass" else "was stated"

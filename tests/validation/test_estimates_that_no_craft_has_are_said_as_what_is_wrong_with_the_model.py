@@ -4,6 +4,7 @@ model with what to try."""
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -78,6 +79,17 @@ def test_a_weighed_mass_that_the_flights_deny_is_a_statement_about_thrust():
     )
     (other,) = judged(estimate("mass", 0.031), estimate("thrust.c2", 0.15)).findings
     assert "ratio" in other.likely and "free thrust" not in other.attempt
+
+
+def test_what_to_free_is_the_number_that_the_thrust_map_consists_of():
+    linear = {"thrust.c1": 0.15, "thrust.c2": 0.0}
+    found = {
+        re.findall(r"free (\S+),", advised.attempt)[0]
+        for values in ({}, linear)
+        for advised in sanity({"mass": estimate("mass", 0.031)}, CRAFT, values).findings
+        if advised.kind == "overruled"
+    }
+    assert found == {"thrust.c2", "thrust.c1"}
 
 
 @pytest.mark.parametrize(
@@ -248,7 +260,7 @@ def test_nobody_is_told_to_add_what_the_model_has():
     assert ADVICE["inertia"][1] == advice
     assert untried(advice, {"motor_lag"}) == "add command_delay; measure the arms"
     assert untried(advice, {"motor_lag", "command_delay"}) == "measure the arms"
-    assert untried(ADVICE["mass"][1], {"battery_sag"}) == "free thrust.c2, hold mass (--fixed mass)"
+    assert untried(ADVICE["mass"][1], {"battery_sag"}) == "free {thrust}, hold mass (--fixed mass)"
     assert untried(ADVICE["mass"][1], set()) == ADVICE["mass"][1]
     assert (
         untried("add rotor_asymmetry", {"rotor_asymmetry"})

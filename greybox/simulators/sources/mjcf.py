@@ -63,7 +63,10 @@ def read(path: Path) -> Found:
         thrust=thrust,
         torque=(yaw * thrust[0], yaw * thrust[1], 0.0),
         effects=used({"motor_lag.tau": lag}),
-        to_measure=("thrust is linear in the control here: see thrust.c2", "mass: weigh it"),
+        to_measure=(
+            "thrust is linear in the control here (thrust.c1): measure the real map",
+            "mass: weigh it",
+        ),
     )
 
 

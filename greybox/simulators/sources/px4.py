@@ -75,5 +75,8 @@ def read(path: Path) -> Found:
         **{f"linear_drag.d_{a}": p.get("SIH_KDV", 0.0) for a in "xyz"},
     }
     fields = {k: getattr(base, k) for k in base.__dataclass_fields__}
-    measure = ("thrust is linear in the command here: see thrust.c2", "mass: weigh it")
+    measure = (
+        "thrust is linear in the command here (thrust.c1): measure the real map",
+        "mass: weigh it",
+    )
     return Found(**{**fields, "effects": used(effects), "to_measure": measure})
