@@ -140,10 +140,15 @@ def test_rotors_in_another_order_are_named(tmp_path):
     assert "[columns.rotor_speed]" in found.fix
 
 
-def test_speeds_without_a_stated_maximum_are_judged_too(tmp_path):
+def test_speeds_without_a_stated_maximum_are_judged_too_and_want_one(tmp_path):
     craft = vehicle()
     silent = replace(craft, actuator=replace(craft.actuator, speed_max=None))
     flight = read_table(written(tmp_path, columns()), silent)
+    (only,) = (f for f in check([flight], silent).findings if f.severity == "blocking")
+    assert (only.check, only.where) == ("rotor_speeds", "omega1..")
+    assert "no actuator.speed_max" in only.message and "speed_max [rad/s]" in only.fix
+    assert only.evidence["highest_rad_s"] == pytest.approx(np.max(columns()["omega1"]), rel=0.2)
+    flight = read_table(written(tmp_path, columns(commands=True)), silent)
     assert not [f for f in check([flight], silent).findings if f.severity == "blocking"]
 
 
@@ -185,8 +190,11 @@ def test_speeds_without_a_scale_are_refused_before_any_work(tmp_path):
     silent = replace(craft, actuator=replace(craft.actuator, speed_max=None))
     log = columns()
     t = log.pop("t")
+    run = dataset_from_arrays(t, log, name="run")
+    with pytest.raises(DataError, match=r"no actuator.speed_max.*write speed_max \[rad/s\]"):
+        fit(silent, run)
     with pytest.raises(ModelError, match="rotor speeds have no scale"):
-        fit(silent, dataset_from_arrays(t, log, name="run"))
+        fit(silent, run, accept=["rotor_speeds"])
 
 
 @pytest.mark.parametrize(

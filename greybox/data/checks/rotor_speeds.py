@@ -1,4 +1,5 @@
-"""Check of the rotor speeds beside commands: does each follow the command of its own rotor?
+"""Check of the rotor speeds: beside commands, does each follow the command of its own rotor? In
+place of commands, does the vehicle file say what a full one is?
 
 What all rotors do together is taken out, so that only what tells them apart is compared, at the lag
 at which speeds follow commands.
@@ -13,12 +14,14 @@ from typing import ClassVar
 
 import numpy as np
 
+from greybox.data.airframe import TopSpeed
 from greybox.data.checks.block_sums import BLOCKS, BlockSums
 from greybox.data.checks.finding import Check, Finding, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, SEEN, jackknife
 from greybox.data.checks.signals import bridged, peak, products, shifted, smoothed
 from greybox.data.checks.together import alone_and_together
 from greybox.data.checks.view import FloatArray, View
+from greybox.data.drive import full_drive
 
 HALF_WINDOW = 0.02
 """Commands and speeds are compared as means over twice this time [s], ..."""
@@ -58,7 +61,9 @@ class Verdict:
 
 
 def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
-    """Findings on the order of the rotor speeds, in each flight and over those of the craft."""
+    """Findings on the scale of rotor speeds that drive the craft, and on the order of those beside
+    commands, in each flight and over those of the craft."""
+    yield from (_unscaled(v) for v in views if v.drives and not v.commanded and _lacks_scale(v))
     found = {v.name: s for v in views if v.measured and (s := _sums(v)) is not None}
     told = alone_and_together(
         found,
@@ -77,6 +82,27 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
                 fix="reorder the fields of [columns.rotor_speed]; or those of [columns.command], "
                 "where the motors are in a wrong order too",
             )
+
+
+def _lacks_scale(view: View) -> bool:
+    actuator = view.vehicle.actuator
+    return isinstance(actuator, TopSpeed) and actuator.speed_max is None
+
+
+def _unscaled(view: View) -> Finding:
+    highest = full_drive(view.drive_names, view.vehicle, view.joined(view.drive_names))
+    return Finding(
+        check=CHECK.name,
+        severity="blocking",
+        flight=view.name,
+        where="omega1..",
+        message="rotor speeds drive the craft, and the vehicle file has no actuator.speed_max: "
+        "thrust per rotor speed is unknown",
+        evidence={"highest_rad_s": highest},
+        fix="write speed_max [rad/s] into [actuator], the rotor speed at which the thrust map "
+        f"ends, above the {highest:.4g} rad/s seen here; thrust of k N per (rad/s)^2 is "
+        "thrust = [0, 0, k speed_max^2]",
+    )
 
 
 def _sums(view: View) -> Sums | None:
@@ -131,6 +157,6 @@ def _verdict(sums: Sums) -> Verdict | None:
 
 CHECK = Check(
     name="rotor_speeds",
-    question="Does every rotor speed follow the command of its rotor?",
+    question="Have rotor speeds a scale, and does each follow the command of its rotor?",
     run=run,
 )
