@@ -49,6 +49,44 @@ def test_values_come_back(tmp_path_factory, table, blank, newline, bom, packed, 
     assert read.rows.tolist() == list(range(2, 2 + len(table)))
 
 
+PARTED = {
+    "semicolons": lambda text: text.replace(",", ";"),
+    "decimal commas": lambda text: text.replace(",", ";").replace(".", ","),
+    "tabs": lambda text: text.replace(",", "\t"),
+    "bars": lambda text: text.replace(",", "|"),
+    "spaces": lambda text: text.replace(",", "  "),
+    "numpy's header": lambda text: f"# {text}",
+    "numpy's default": lambda text: f"# {text}".replace(",", " "),
+    "comments before": lambda text: f"# craft: x, y\n#\n{text}",
+    "comments before, a header among them": lambda text: f"# craft: x\n# {text}",
+}
+
+
+@pytest.mark.parametrize("form", PARTED)
+@given(
+    table=st.lists(
+        st.lists(FINITE.filter(lambda x: x != 0), min_size=3, max_size=3), min_size=2, max_size=9
+    )
+)
+def test_columns_may_be_parted_otherwise(tmp_path_factory, form, table):
+    text = "\n".join(["t,p,q", *(",".join(repr(v) for v in row) for row in table)])
+    path = tmp_path_factory.mktemp("csv") / "log.csv"
+    path.write_text(PARTED[form](text))
+    read = read_csv(path)
+    assert list(read.columns) == ["t", "p", "q"]
+    assert np.array_equal(np.stack([read.columns[n] for n in "tpq"], axis=1), np.array(table))
+    begun = path.read_text().count("#") or 1
+    begun += form == "comments before"
+    assert read.rows.tolist() == list(range(begun + 1, begun + 1 + len(table)))
+
+
+def test_a_header_whose_quote_is_not_closed_is_a_clear_error(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text('t,"p,q\n1,2,3\n')
+    with pytest.raises(DataError, match="row 2"):
+        read_csv(path)
+
+
 @given(content=st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)))
 def test_any_bytes_are_a_table_or_a_clear_error(tmp_path_factory, content):
     path = tmp_path_factory.mktemp("csv") / "log.csv"

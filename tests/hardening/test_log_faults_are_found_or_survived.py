@@ -55,9 +55,8 @@ REFUSED = {
     "truncated file": "cut off",
     "missing column": "motor_motor_m4",
     "thousands comma": "32 cells",
-    "decimal comma": "semicolons",
 }
-SURVIVED = ("NaN burst", "mixed line ends", "byte order mark", "quantised sensor")
+SURVIVED = ("NaN burst", "mixed line ends", "byte order mark", "quantised sensor", "decimal comma")
 STEP = {"quantised sensor": 0.02}
 
 

@@ -1,5 +1,7 @@
-"""Reader of comma-separated logs, plain or gzip: header row, numbers, empty cell or nan =
-missing."""
+"""Reader of logs that are tables of text, plain or gzip: header row, numbers, empty cell or nan =
+missing. Commas, semicolons (then perhaps with decimal commas), tabs, bars or spaces part the
+columns; lines that begin with # may stand before, and the last of them may be the header, as numpy
+writes it."""
 
 from __future__ import annotations
 
@@ -8,8 +10,9 @@ import gzip
 import hashlib
 import io
 import os
+import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +24,9 @@ from greybox.data.raw import Column
 from greybox.errors import DataError
 
 _GZIP_MAGIC = b"\x1f\x8b"
+_SPACES = " "
+_SEPARATORS = (";", "\t", "|")
+"""What parts columns, where a header has at least as many of them as cells between commas."""
 
 
 def read_csv(path: str | os.PathLike[str]) -> Table:
@@ -38,15 +44,48 @@ def read_csv(path: str | os.PathLike[str]) -> Table:
         raise DataError(
             "the file is empty", where=where, fix="export the log again, with a header row"
         )
-    header = _header(lines[numbers[0]], where, numbers[0] + 1)
-    body = [lines[i] for i in numbers[1:]]
+    first, names = _begins([lines[i] for i in numbers])
+    separator = _separator(names)
+    header = _header(names, separator, where, numbers[first - 1] + 1)
+    body = [lines[i] for i in numbers[first:]]
     if not body:
         raise DataError("a header but no rows", where=where, fix="export the log again")
-    rows = np.array(numbers[1:], dtype=np.int64) + 1
-    columns = _numeric(body, header)
+    if separator != "," and not any("." in line for line in body):
+        body = [line.replace(",", ".") for line in body]
+    rows = np.array(numbers[first:], dtype=np.int64) + 1
+    columns = _numeric(body, header, separator)
     if columns is None:
-        columns = _careful(body, header, rows, where)
+        columns = _careful(body, header, separator, rows, where)
     return Table(columns=columns, rows=rows, source=Path(path).name, sha256=digest)
+
+
+def _begins(lines: Sequence[str]) -> tuple[int, str]:
+    """The index of the first row of values, and the header: the first line that is no comment, or
+    the last comment where that holds values."""
+    first = next((i for i, line in enumerate(lines) if not _comment(line)), len(lines))
+    if first and (first == len(lines) or _is_number(re.split(r"[,;\t|\s]", lines[first])[0])):
+        return first, lines[first - 1].strip().lstrip("#").strip()
+    return first + 1, lines[first]
+
+
+def _comment(line: str) -> bool:
+    return line.lstrip().startswith("#")
+
+
+def _separator(header: str) -> str:
+    cells = _split(header, ",")
+    for separator in _SEPARATORS:
+        if header.count(separator) >= max(len(cells), 1):
+            return separator
+    return _SPACES if len(cells) == 1 and len(cells[0].split()) > 1 else ","
+
+
+def _split(line: str, separator: str, *, strict: bool = False) -> list[str]:
+    """Raises `csv.Error` for a quote that is not closed, if strict."""
+    if separator == _SPACES:
+        return [c.strip('"') for c in line.split()]
+    cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict=strict))
+    return [c.strip() for c in cells]
 
 
 def _content(path: str | os.PathLike[str], where: str) -> tuple[bytes, str]:
@@ -112,21 +151,8 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _header(line: str, where: str, row: int) -> list[str]:
-    cells = [c.strip() for c in next(csv.reader([line], skipinitialspace=True))]
-    for delimiter, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
-        if line.count(delimiter) >= max(len(cells), 1):
-            raise DataError(
-                f"columns are separated by {name}",
-                where=f"{where}, row {row}",
-                fix="export the log with commas",
-            )
-    if len(cells) == 1 and len(cells[0].split()) > 1:
-        raise DataError(
-            "columns are separated by spaces",
-            where=f"{where}, row {row}",
-            fix="export the log with commas",
-        )
+def _header(line: str, separator: str, where: str, row: int) -> list[str]:
+    cells = _split(line, separator)
     if all(_is_number(c) for c in cells):
         raise DataError(
             "no header row: the first row holds numbers",
@@ -144,11 +170,16 @@ def _header(line: str, where: str, row: int) -> list[str]:
     return header
 
 
-def _numeric(body: list[str], header: list[str]) -> dict[str, Column] | None:
+def _numeric(body: list[str], header: list[str], separator: str) -> dict[str, Column] | None:
     """The fast path: every cell is a number. None where it is not."""
     try:
         values = np.loadtxt(
-            body, delimiter=",", comments=None, quotechar='"', ndmin=2, dtype=np.float64
+            body,
+            delimiter=None if separator == _SPACES else separator,
+            comments=None,
+            quotechar='"',
+            ndmin=2,
+            dtype=np.float64,
         )
     except ValueError:
         return None
@@ -158,11 +189,11 @@ def _numeric(body: list[str], header: list[str]) -> dict[str, Column] | None:
 
 
 def _cells(
-    body: list[str], width: int, rows: npt.NDArray[np.int64], where: str
+    body: list[str], width: int, separator: str, rows: npt.NDArray[np.int64], where: str
 ) -> Iterator[list[str]]:
     for line, row in zip(body, rows, strict=True):
         try:
-            cells = next(csv.reader([line], skipinitialspace=True, strict=True))
+            cells = _split(line, separator, strict=True)
         except csv.Error as error:
             raise DataError(
                 f"not a CSV row ({error})", where=f"{where}, row {row}", fix="close the quotes"
@@ -174,15 +205,19 @@ def _cells(
                 expected=f"{width}, as in the header",
                 fix="complete or delete that row (a log that was cut off ends so)",
             )
-        yield [c.strip() for c in cells]
+        yield cells
 
 
 def _careful(
-    body: list[str], header: list[str], rows: npt.NDArray[np.int64], where: str
+    body: list[str],
+    header: list[str],
+    separator: str,
+    rows: npt.NDArray[np.int64],
+    where: str,
 ) -> dict[str, Column]:
     """The slow path: empty cells become NaN, a column with text stays text, a ragged row is an
     error."""
-    columns = zip(*_cells(body, len(header), rows, where), strict=True)
+    columns = zip(*_cells(body, len(header), separator, rows, where), strict=True)
     out: dict[str, Column] = {}
     for name, cells in zip(header, columns, strict=True):
         try:
