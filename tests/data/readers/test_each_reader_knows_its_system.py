@@ -308,6 +308,18 @@ def test_events_of_two_rates_meet_and_a_check_sum_that_is_wrong_is_told(tmp_path
     assert any("check sum is wrong" in n for n in read_table(path).notes)
 
 
+def test_packed_rates_have_the_signs_of_the_gyro(tmp_path: Path) -> None:
+    """stabilizer.c packs the pitch rate with the sign of its pitch: nose up."""
+    c = w.channels(rows=N)
+    names = [(f"stateEstimateZ.rate{n}", "h") for n in ("Roll", "Pitch", "Yaw")]
+    packed = np.rint(1e3 * np.column_stack([c["p"], -c["q"], c["r"]]))
+    path = tmp_path / "log02"
+    path.write_bytes(w.usd_bytes([("packed", names, np.rint(c["t"] * 1e6), packed)]))
+    raw = read_table(path)
+    for name in "pqr":
+        np.testing.assert_allclose(raw.channels[name], c[name], atol=1e-3)
+
+
 # Tables -------------------------------------------------------------------------------------------------------------
 
 
