@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import re
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -217,6 +218,21 @@ def test_a_piece_is_made_smaller_until_it_fits():
     )
     assert wide is not None and small is not None
     assert small.amplitude < wide.amplitude
+
+
+def test_limits_that_say_nothing_of_commands_keep_those_of_the_vehicle():
+    whole = vehicle()
+    actuator = replace(whole.actuator, u_min=0.1, u_max=0.9)
+    found = plan(
+        replace(whole, actuator=actuator),
+        effects=["rotor_drag"],
+        seconds=10.0,
+        limits=Limits(box=(5.0, 5.0, 3.0)),
+        setpoints_only=True,
+    )
+    assert found.limits.box == (5.0, 5.0, 3.0)
+    assert found.limits.command == pytest.approx((0.116, 0.884))
+    assert found.to_dict()["limits"]["command"] == pytest.approx([0.116, 0.884])
 
 
 def test_a_model_brings_its_values_and_what_its_flights_told(fitted):
