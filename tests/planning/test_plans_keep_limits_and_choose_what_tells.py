@@ -78,7 +78,16 @@ def test_setpoints_are_the_flight_that_was_judged(made):
     text = csv(columns).splitlines()
     assert text[0].split(",") == list(columns) and len(text) == 2501
     read = np.loadtxt(text[1:], delimiter=",")
-    np.testing.assert_allclose(read, np.stack(list(columns.values()), axis=1), atol=1e-3, rtol=1e-5)
+    np.testing.assert_allclose(read, np.stack(list(columns.values()), axis=1), rtol=1e-9)
+
+
+def test_a_table_keeps_clocks_and_small_signals():
+    t = 0.0025 * np.arange(100_000)
+    small = 1e-7 * np.sin(t)
+    text = csv({"t": t, "moment": small}).splitlines()
+    read = np.loadtxt(text[1:], delimiter=",")
+    np.testing.assert_allclose(np.diff(read[:, 0]), 0.0025, rtol=1e-4)
+    np.testing.assert_allclose(read[:, 1], small, rtol=1e-9)
 
 
 def test_the_plan_tells_more_than_hover_and_figure_of_eight(made):
