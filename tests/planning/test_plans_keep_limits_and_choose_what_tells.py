@@ -11,9 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.errors import GreyboxError, UnknownNameError
+from greybox.errors import FitError, GreyboxError, UnknownNameError
 from greybox.estimation.fit import fit
+from greybox.model.dynamics import StateSpaceModel
 from greybox.model.effects import effect_by_name
+from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import template_text
 from greybox.planning import plan
@@ -21,9 +23,10 @@ from greybox.planning.excitation_blocks import excitation_blocks, fit_in
 from greybox.planning.information import Information, Score, choose, errors, information
 from greybox.planning.limits import Limits
 from greybox.planning.options import demand_lengths, left_over
-from greybox.planning.own_plan import LONGEST_SAMPLES
+from greybox.planning.own_plan import LONGEST_SAMPLES, plan_own
 from greybox.planning.planning_case import planning_case
 from greybox.planning.setpoints import csv, setpoints
+from greybox.symbolic import Layout, Signal
 
 LIMITS = Limits(
     box=(3.0, 2.0, 2.0), floor=0.4, speed=2.0, tilt=np.radians(25.0), command=(0.1, 0.9)
@@ -227,6 +230,30 @@ def test_a_piece_is_made_smaller_until_it_fits():
     )
     assert wide is not None and small is not None
     assert small.amplitude < wide.amplitude
+
+
+def test_an_experiment_that_leaves_its_limits_as_a_whole_is_none():
+    tank = StateSpaceModel(
+        name="tank",
+        states=Layout([Signal(name="h", unit="m")]),
+        inputs=Layout([Signal(name="q", unit="m^3/s")]),
+        outputs=Layout([Signal(name="h", unit="m")]),
+        parameters=(
+            Parameter(name="a", unit="1/m^2", nominal=1.0, lower=0.1, upper=9.0, scale=1.0),
+        ),
+        dynamics=lambda t, x, u, p: [p["a"] * u[0]],
+        measurement=lambda t, x, u, p: [x[0]],
+        noise_states=("h",),
+        initial_sigma={"h": 0.1},
+        sensor_sigma={"h": 0.01},
+    )
+    limits = {"h": (-3.0, 5.0)}
+    even = plan_own(tank, {"q": (-1.0, 1.0)}, limits=limits, seconds=20.0, sample_time=0.05)
+    height = even.log.flights[0].segments[0].channels["h"]
+    assert -3.0 <= height.min() < height.max() <= 5.0
+    # It fills: each piece begins empty.
+    with pytest.raises(FitError, match="not one after the other"):
+        plan_own(tank, {"q": (0.0, 1.0)}, limits=limits, seconds=20.0, sample_time=0.05)
 
 
 def test_limits_that_say_nothing_of_commands_keep_those_of_the_vehicle():
