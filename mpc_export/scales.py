@@ -15,15 +15,18 @@ SCALES = {"position": 1.0, "velocity": 1.0, "attitude": 1.0, "rate": 1.0, "rotor
 
 
 def command_limits(parts: ModelParts) -> tuple[FloatArray, FloatArray]:
-    """(lower, upper) of the commands: 0 .. 1, rotor speeds 0 .. speed_max, else what was seen in
-    training."""
+    """(lower, upper) of the commands: the range in the vehicle file, of rotor speeds 0 ..
+    speed_max, else what was seen in training."""
     domain = parts.model.domain
     physics = physics_of(parts.sampled.dynamics)
     rows = []
     for name in parts.sampled.inputs.names:
         if physics is not None:
-            top = physics.vehicle.actuator.speed_max if name.startswith("omega") else 1.0
-            rows.append((0.0, math.inf if top is None else float(top)))
+            actuator = physics.vehicle.actuator
+            ends = (actuator.u_min, actuator.u_max)
+            if name.startswith("omega"):
+                ends = (0.0, math.inf if actuator.speed_max is None else actuator.speed_max)
+            rows.append(ends)
         else:
             rows.append(domain.get(name, (-math.inf, math.inf)))
     values = np.array(rows, dtype=float).reshape(-1, 2)

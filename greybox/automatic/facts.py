@@ -118,15 +118,17 @@ def response_rate(flight: Flight) -> float:
     ]
     bands = []
     for n in names:
-        x = segment.column(n)
-        x = x[np.isfinite(x)]
-        if x.size < 64:
+        known = np.flatnonzero(np.isfinite(segment.column(n)))
+        if known.size < 64:
             continue
+        x = segment.column(n)[known]
+        # A gyro that is slower than the rows has a sample time of its own.
+        step = segment.dt * float(known[-1] - known[0]) / (known.size - 1)
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(x.size))) ** 2
         power = np.maximum(power - np.median(power[power.size // 2 :]), 0.0)
         total = power[1:].sum()
         if not total > 0:
             continue  # an axis that never moves
         at = min(int(np.searchsorted(np.cumsum(power[1:]) / total, 0.95)), power.size - 2)
-        bands.append(float(np.fft.rfftfreq(x.size, segment.dt)[1 + at]))
+        bands.append(float(np.fft.rfftfreq(x.size, step)[1 + at]))
     return 10.0 * max(bands) if bands else 100.0

@@ -164,7 +164,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from greybox.model.effects_file import load_effects
     from greybox.planning import plan
-    from greybox.planning.limits import Limits, command_range
+    from greybox.planning.limits import Limits
 
     if not admitted(arguments, arguments.model):
         return 1
@@ -178,7 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
         floor=arguments.floor,
         speed=arguments.speed,
         tilt=float(np.radians(arguments.tilt)),
-        command=arguments.range or command_range(vehicle),
+        command=arguments.range,
     )
     console = Console.of(arguments)
     found = plan(

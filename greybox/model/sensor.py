@@ -47,10 +47,9 @@ class Sensor(ABC):
     a model that nobody gave any.
     `noisiest` is more noise than such a sensor has [innovation unit], `noisiest_hint` the unit that
     was meant. `shows` is the state block that it measures as it is, None where it measures anything
-    else. `mistaken_for` are the pushes (force, torque) that an error of its own looks like.
-    `colour_time` [s] is where a search for coloured noise begins, None where none is looked for;
-    colour is told from forces only where one of the sensors `witnesses` sees the motion too (empty:
-    always). `length` is what its columns together are at least and at most long, None where that
+    else. `colour_time` [s] is where a search for coloured noise begins, None where none is looked
+    for; colour is told from forces only where one of the sensors `witnesses` sees the motion too
+    (empty: always). `length` is what its columns together are at least and at most long, None where that
     is open: what is shorter or longer is no reading. A sensor of a `world` vector has its
     innovation in body axes, and its own errors that last in those of the world, where they stay
     while the craft turns.
@@ -65,7 +64,6 @@ class Sensor(ABC):
     noisiest: ClassVar[float] = math.inf
     noisiest_hint: ClassVar[str] = ""
     shows: ClassVar[str | None] = None
-    mistaken_for: ClassVar[tuple[str, ...]] = ()
     colour_time: ClassVar[float | None] = None
     witnesses: ClassVar[frozenset[str]] = frozenset()
     length: ClassVar[tuple[float, float] | None] = None

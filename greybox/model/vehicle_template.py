@@ -115,7 +115,7 @@ def _resize(name: str, data: Tree, sizes: Mapping[str, float], notes: dict[str, 
             rotor["position"] = [_round(v * longer) for v in rotor["position"]]
             notes[f"rotor[{i}].position"] = "m, from the arm that was given"
     maps = 1.0
-    if name in SIZED and heavier * longer != 1.0:
+    if name in SIZED and (heavier, longer) != (1.0, 1.0):
         _scale(data, "inertia", heavier * longer**2, notes, "kg m^2, a m L^2 as above")
         actuator["rotor_radius"] = _round(actuator["rotor_radius"] * longer)
         notes["actuator.rotor_radius"] = "m, assumed: half the arm"

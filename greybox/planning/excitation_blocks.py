@@ -130,7 +130,7 @@ def authority(model: IdentifiedModel, limits: Limits) -> FloatArray:
     v, vehicle = model.values, model.physics.vehicle
     thrust, n = np.array([v[f"thrust.c{k}"] for k in range(3)]), len(vehicle.rotors)
     weight = v["mass"] * vehicle.gravity
-    low, high = (float(thrust @ [1.0, u, u * u]) for u in limits.command)
+    low, high = (float(thrust @ [1.0, u, u * u]) for u in limits.commands)
     spare = min(high - weight / n, weight / n - low)
     if not spare > 0.02 * weight / n:
         raise FitError(

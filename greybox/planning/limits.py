@@ -4,7 +4,7 @@ one used of them."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ OUTSIDE = 0.01
 class Limits:
     """`box` (length along x, width along y, height above the floor) [m], centred on the origin;
     `floor` is the lowest height [m] that the craft may sink to, `speed` [m/s], `tilt` [rad],
-    `command` (lowest, highest).
+    `command` (lowest, highest); None: the vehicle's range less 2 % at both ends.
 
     Raises `GreyboxError` for limits that leave no room.
     """
@@ -33,7 +33,7 @@ class Limits:
     floor: float = 0.3
     speed: float = 3.0
     tilt: float = TILT
-    command: tuple[float, float] = (0.0, 1.0)
+    command: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         taken_fields(self, box=numbers_of(3), command=numbers_of(2))
@@ -44,7 +44,7 @@ class Limits:
             ("the floor", self.floor, 0.0, 1e4),
             ("the speed", self.speed, 0.05, 100.0),
             ("the tilt", self.tilt, 0.02, TILT + 1e-9),
-            ("the highest command", self.command[1], self.command[0] + 1e-6, 1e4),
+            ("the highest command", self.commands[1], self.commands[0] + 1e-6, 1e4),
         ):
             if not low <= value <= high:
                 raise GreyboxError(
@@ -54,6 +54,15 @@ class Limits:
                     fix="check --box L,W,H [m], --floor [m], --speed [m/s], --tilt [degrees, at "
                     "most 35] and --command",
                 )
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """Lowest and highest command; 0 and 1 where no vehicle is known."""
+        return self.command or (0.0, 1.0)
+
+    def of(self, vehicle: Vehicle) -> Limits:
+        """The same with the range of commands of a vehicle, where none was given."""
+        return self if self.command else replace(self, command=command_range(vehicle))
 
     @property
     def home(self) -> tuple[float, float, float]:
@@ -96,7 +105,7 @@ class Limits:
 
     def _outside(self, c: Mapping[str, FloatArray]) -> BoolArray:
         u = np.stack([v for n, v in c.items() if n[0] == "u" and n[1:].isdigit()])
-        return np.asarray(((u < self.command[0]) | (u > self.command[1])).any(axis=0))
+        return np.asarray(((u < self.commands[0]) | (u > self.commands[1])).any(axis=0))
 
     def to_dict(self) -> LimitsPart:
         """As in plan.json."""
@@ -105,7 +114,7 @@ class Limits:
             "floor_m": self.floor,
             "speed_m_s": self.speed,
             "tilt_rad": self.tilt,
-            "command": list(self.command),
+            "command": list(self.commands),
         }
 
 

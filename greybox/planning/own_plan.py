@@ -168,7 +168,13 @@ def plan_own(
         names = next(iter(told.values())).names
         chosen = choose(told, count, Score(subject, names))
         shapes = [candidates[c][0] * candidates[c][1] for c in chosen]
-        whole = run.fitting(shapes) or 0.0
+        whole = run.fitting(shapes)
+        if whole is None:
+            raise FitError(
+                "the pieces keep the limits one by one, but not one after the other",
+                fix="ranges whose middle holds the outputs where they are, fewer --seconds, or "
+                "wider --limit",
+            )
         log = run.record(shapes, whole)
         found = information(subject, log)
         ends = [

@@ -18,7 +18,7 @@ from greybox.model.known import demand_known
 from greybox.model.vehicle import Vehicle
 from greybox.planning.excitation_blocks import Flown, excitation_blocks, fit_in, sequence
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
-from greybox.planning.limits import Limits, command_range
+from greybox.planning.limits import Limits
 from greybox.planning.manoeuvres import Trial, tried_together
 from greybox.planning.options import (
     LONGEST,
@@ -168,7 +168,7 @@ def _hovering(
     limits."""
     for assumed in (1.0, 0.5, 0.25, 0.1, 0.05):
         wish = make(assumed)
-        room = limits or Limits(command=command_range(wish.physics.vehicle))
+        room = (limits or Limits()).of(wish.physics.vehicle)
         hover = excitation_blocks(wish.flying, room, seconds=seconds, setpoints_only=True)[0]
         if fit_in(wish.flying, [hover], room)[0] is not None:
             note = f"effects without a stated size are taken at {assumed:g} of their typical one"

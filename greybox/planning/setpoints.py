@@ -41,10 +41,8 @@ def setpoints(
 
 
 def csv(columns: dict[str, FloatArray]) -> str:
-    """The table as CSV text, a header row first, to a millionth."""
-    rows = np.stack(list(columns.values()), axis=1)
-    body = "\n".join(
-        ",".join(f"{v:.6g}" if abs(v) < 1e6 else repr(v) for v in row)
-        for row in np.round(rows, 6) + 0.0
-    )
+    """The table as CSV text, a header row first, to ten digits: an hour of 8 kHz, and signals of
+    any size."""
+    rows = np.stack(list(columns.values()), axis=1) + 0.0
+    body = "\n".join(",".join(f"{v:.10g}" for v in row) for row in rows.tolist())
     return ",".join(columns) + "\n" + body + "\n"

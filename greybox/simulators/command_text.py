@@ -31,6 +31,7 @@ RPM_MAX = SPEED_MAX * 60.0 / (2.0 * np.pi)
 STRENGTH = np.array({strength})  # thrust and torque of each rotor against their mean
 LAGS = {up!r}, {down!r}          # s, of rotors that speed up and slow down
 HOVER = {hover!r}                # nu that carries the weight
+HOVER_COMMAND = {command!r}        # u that makes it, at the nominal voltage
 
 
 def normalised_speed(u, voltage=None):
@@ -44,10 +45,16 @@ def normalised_speed(u, voltage=None):
     return nu
 
 
+def command_of(nu):
+    """Commands u (..., n) for which rotors settle at speeds nu (..., n), at the nominal voltage."""
+    nu = np.asarray(nu, dtype=float)
+    return 2.0 * nu / (1.0 - CURVE + np.sqrt((1.0 - CURVE) ** 2 + 4.0 * CURVE * nu))
+
+
 class DelayLine:
     """Commands on their way: exact for commands that are held from one call to the next."""
 
-    def __init__(self, first=HOVER):
+    def __init__(self, first=HOVER_COMMAND):
         self._sent = [(-np.inf, first)]
         self._time = 0.0
 
@@ -72,7 +79,7 @@ class Rotors:
 
     def __init__(self, nu=HOVER):
         self.nu = np.full(len(STRENGTH), nu)
-        self._line = DelayLine(np.full(len(STRENGTH), nu))
+        self._line = DelayLine(command_of(self.nu))
 
     def speeds(self, u, dt, voltage=None):
         """Mean speeds nu (n,) over the next `dt` [s] if u (n,) is sent now, scaled so that equal
@@ -104,6 +111,7 @@ def command_text(craft: Craft) -> str:
         speed=craft.speed_max,
         unknown="" if craft.speed_known else ", counted so: the vehicle file has no speed_max",
         hover=craft.hover_nu,
+        command=craft.hover_command,
         strength=craft.strength.tolist(),
         up=craft.lags[0],
         down=craft.lags[1],

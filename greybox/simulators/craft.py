@@ -223,6 +223,12 @@ class Craft:
         return float(nu)
 
     @property
+    def hover_command(self) -> float:
+        """Command whose settled rotor speed is that of hover, at the nominal voltage."""
+        nu, f = self.hover_nu, self.get("thrust_curve.f")
+        return 2.0 * nu / (1.0 - f + math.sqrt((1.0 - f) ** 2 + 4.0 * f * nu))
+
+    @property
     def lags(self) -> tuple[float, float]:
         """Time constants [s] of rotors that speed up, and that slow down."""
         tau, a = self.get("motor_lag.tau"), self.get("motor_lag_asymmetry.a")

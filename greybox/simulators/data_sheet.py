@@ -7,14 +7,17 @@ flight about hover.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.channel import command_names
 from greybox.model.effects import effect_by_name
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import ParameterValues
 from greybox.model.vehicle import Vehicle
+from greybox.simulators.craft import Craft
 
 SAMPLE_TIME = 0.01
 CALM = {"v": 2.0, "rate": 2.0, "tilt": 0.2}
@@ -22,21 +25,14 @@ CALM = {"v": 2.0, "rate": 2.0, "tilt": 0.2}
 
 
 def model_of(vehicle: Vehicle) -> IdentifiedModel:
-    """The vehicle with the effects of its file. Raises `UnknownNameError`, `ModelError`."""
+    """The vehicle with the effects of its file. Raises `UnknownNameError`, `ModelError` for one
+    that cannot hover."""
     physics = PhysicsModel(
         vehicle=vehicle, effects=tuple(effect_by_name(n) for n in vehicle.effects)
     )
     uncertain = [d for d in physics.parameters if 0 < d.sigma < math.inf]
-    full = sum(q.value for q in vehicle.actuator.thrust)
-    nu = math.sqrt(vehicle.mass.value * vehicle.gravity / len(vehicle.rotors) / full)
-    commands = {n: (0.8 * nu, min(1.0, 1.2 * nu)) for n in physics.inputs.names if n[0] == "u"}
-    boxes = {
-        **{f"v{a}": CALM["v"] for a in "xyz"},
-        **dict.fromkeys("pqr", CALM["rate"]),
-        **{f"q{a}": CALM["tilt"] for a in "xyz"},
-    }
     volt = vehicle.nominal_voltage
-    return IdentifiedModel(
+    model = IdentifiedModel(
         dynamics=physics,
         values=ParameterValues({d.name: d.nominal for d in physics.parameters}),
         covariance_names=tuple(d.name for d in uncertain),
@@ -45,12 +41,18 @@ def model_of(vehicle: Vehicle) -> IdentifiedModel:
         sensor_noise=physics.sensor_scale(),
         weak=np.zeros(len(physics.error_states)),
         reference_state=physics.reference({}),
-        reference_inputs=np.full(len(physics.inputs), nu),
+        reference_inputs=np.zeros(len(physics.inputs)),
         sample_time=SAMPLE_TIME,
         domain={
-            **commands,
-            **{k: (-v, v) for k, v in boxes.items()},
+            **{f"v{a}": (-CALM["v"], CALM["v"]) for a in "xyz"},
+            **dict.fromkeys("pqr", (-CALM["rate"], CALM["rate"])),
+            **{f"q{a}": (-CALM["tilt"], CALM["tilt"]) for a in "xyz"},
             "z": (0.5, 2.0),
             **({} if volt is None else {"vbat": (0.85 * volt, 1.05 * volt)}),
         },
     )
+    u = Craft.of(model).hover_command
+    commands = command_names(physics.inputs.names)
+    at = [u if n in commands else volt or 1.0 for n in physics.inputs.names]
+    about = dict.fromkeys(commands, (0.8 * u, min(1.0, 1.2 * u)))
+    return replace(model, reference_inputs=np.array(at), domain={**about, **model.domain})

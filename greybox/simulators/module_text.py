@@ -56,7 +56,7 @@ def pieces(craft: Craft) -> dict[str, object]:
         "attitude": np.array([1.0, 0.0, 0.0, 0.0]),
         "rate": np.zeros(3),
     }
-    hover = [hover_command(craft)] * craft.count
+    hover = [craft.hover_command] * craft.count
     hover += [craft.nominal_voltage or 1.0] * (len(dynamics.inputs) - craft.count)
     own = start_state(craft, blocks)
     start[: len(own)] = own
@@ -97,14 +97,6 @@ def _value(craft: Craft, d: Parameter) -> float:
     """Of the craft, of its source (what is no number of a craft), or a learned weight's own."""
     of_source = craft.source.values.get(d.name, d.nominal)
     return float(craft.values.get(d.name, of_source))
-
-
-def hover_command(craft: Craft) -> float:
-    """The command whose settled rotor speed is that of hover, at the nominal voltage."""
-    nu, f = craft.hover_nu, craft.get("thrust_curve.f")
-    if f == 0.0:
-        return nu
-    return float((-(1.0 - f) + np.sqrt((1.0 - f) ** 2 + 4.0 * f * nu)) / (2.0 * f))
 
 
 def _whole(craft: Craft) -> Dynamics:

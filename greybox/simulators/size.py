@@ -120,7 +120,7 @@ def _points(craft: Craft, count: int) -> _States:
     vector = np.clip(draw(("qx", "qy", "qz"), 0.0), -0.57, 0.57)
     attitude = np.vstack([np.sqrt(1.0 - np.sum(vector**2, axis=0)), vector])
     commands = tuple(craft.physics.inputs.names[: craft.count])
-    inputs = draw(commands, craft.hover_nu)
+    inputs = draw(commands, craft.hover_command)
     if len(craft.physics.inputs.names) > craft.count:
         inputs = np.vstack([inputs, draw(("vbat",), craft.nominal_voltage or 1.0)])
     return _States(
@@ -199,7 +199,7 @@ def _thrust_at_hover(craft: Craft, other: Craft) -> tuple[float, float]:
     voltages of training."""
     still = np.zeros((3, 2))
     height = np.array([[0.0, 0.0], [0.0, 0.0], list(_range(craft, "z", 1.0))])
-    inputs = np.full((len(craft.physics.inputs), 2), craft.hover_nu)
+    inputs = np.full((len(craft.physics.inputs), 2), craft.hover_command)
     if len(craft.physics.inputs) > craft.count:
         inputs[-1] = _range(craft, "vbat", craft.nominal_voltage or 1.0)
     states = _States(
@@ -260,7 +260,7 @@ def fly(
 
 
 def _hover_inputs(craft: Craft, commands: FloatArray) -> FloatArray:
-    return np.array([*[craft.hover_nu] * craft.count, *commands[craft.count :, 0]])
+    return np.array([*[craft.hover_command] * craft.count, *commands[craft.count :, 0]])
 
 
 def start_state(craft: Craft, start: Mapping[str, FloatArray]) -> FloatArray:
@@ -292,11 +292,12 @@ def _astray(craft: Craft, other: Craft, *, unlearned: bool) -> tuple[float, floa
     dt = craft.sample_time
     steps = max(2, round(FLIGHT_TIME / dt))
     low, high = craft.command_range
-    room = 0.15 * min(craft.hover_nu - low, high - craft.hover_nu)
+    hover = craft.hover_command
+    room = 0.15 * min(hover - low, high - hover)
     distances, angles = [], []
     for k in range(FLIGHTS):
         slow = random.standard_normal((craft.count, 1 + steps // 10)) * max(room, 0.0)
-        commands = np.clip(craft.hover_nu + np.repeat(slow, 10, axis=1)[:, :steps], low, high)
+        commands = np.clip(hover + np.repeat(slow, 10, axis=1)[:, :steps], low, high)
         inputs = np.vstack([commands, points.inputs[craft.count :, k : k + 1].repeat(steps, 1)])
         start = {
             "position": points.position[:, k],

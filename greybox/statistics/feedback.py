@@ -30,9 +30,10 @@ def follows(stretches: Sequence[FloatArray], signal: int, others: Sequence[int])
     None where there is nothing to tell it from (too few samples, a signal without news)."""
     kept, left = [], MOST_ROWS
     for s in stretches:
-        if len(s) > 4 * LAGS and left > 0:
-            kept.append(s[:left][:, [signal, *others]])
-            left -= len(kept[-1])
+        part = s[:left]
+        if len(part) > 4 * LAGS:
+            kept.append(part[:, [signal, *others]])
+            left -= len(part)
     both = 1 + len(others)
     if sum(len(s) - 2 * LAGS for s in kept) < 3 * LAGS * both:
         return None

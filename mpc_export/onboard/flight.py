@@ -154,10 +154,10 @@ class OnBoard:
         return "\n".join(f"  {line}" for line in lines)
 
     def demand(self, target: str, *, rotors: int, unit: bool) -> None:
-        """Raises `ModelError` for more commands than `rotors`, or commands that do not run from 0
-        to 1 where they must."""
+        """Raises `ModelError` for more commands than `rotors`, or commands that run beyond 0 to 1
+        where they must not."""
         lower, upper = self.functions.bounds
-        if len(lower) > rotors or (unit and not ((lower == 0.0).all() and (upper == 1.0).all())):
+        if len(lower) > rotors or (unit and not ((lower >= 0.0).all() and (upper <= 1.0).all())):
             raise ModelError(
                 f"the target {target} is for a model with commands from 0 to 1",
                 expected=f"at most {rotors} of them",

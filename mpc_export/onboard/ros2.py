@@ -50,7 +50,7 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         .replace("  y[", "    y[")
         .replace("  there[", "    there["),
         **_battery(board, real),
-        "stopped": ", ".join(board.number(v) for v in f.bounds[0]),
+        "stopped": ", ".join(board.number(0.0) for _ in f.inputs),
         "inputs": " ".join(f.inputs.names),
         "outputs": " ".join(f.outputs.names),
         "dt": f"{f.dt:g}",

@@ -111,15 +111,6 @@ def vibration(
     return out
 
 
-def jittered_clock(log: Columns, sigma: float, rng: np.random.Generator) -> Log:
-    """Time stamps off by white noise of sigma [s], kept increasing; the samples stay where they
-    were."""
-    out = _copy(log)
-    limit = 0.45 * _sample_time(log)
-    out["t"] = out["t"] + np.clip(sigma * rng.standard_normal(out["t"].size), -limit, limit)
-    return out
-
-
 def uneven(
     log: Columns, columns: Iterable[str], delay: float, jitter: float, rng: np.random.Generator
 ) -> Log:
@@ -151,15 +142,3 @@ def dropped_rows(log: Columns, fraction: float, rng: np.random.Generator) -> Log
     keep = rng.random(log["t"].size) >= fraction
     keep[0] = keep[-1] = True
     return {name: values[keep].copy() for name, values in log.items()}
-
-
-def missing_cells(
-    log: Columns, columns: Iterable[str], fraction: float, rng: np.random.Generator
-) -> Log:
-    """Empty each sample of a group of columns (all of the group together) with probability
-    `fraction`."""
-    out = _copy(log)
-    lost = rng.random(log["t"].size) < fraction
-    for name in columns:
-        out[name][lost] = np.nan
-    return out

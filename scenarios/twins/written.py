@@ -89,7 +89,7 @@ def _arriving(
     commands: Any, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None
 ) -> Iterator[list[tuple[float, FloatArray]]]:
     """Per step the speeds nu that reach the motors, with how long each lasts [s]."""
-    first = before[0] if len(before) else np.full(u.shape[1], commands.HOVER)
+    first = before[0] if len(before) else np.full(u.shape[1], commands.HOVER_COMMAND)
     line = commands.DelayLine(first)
     for sent in before:
         line.pieces(sent, dt)
@@ -677,12 +677,8 @@ class _Turned:
     """commands.py with the rotors in another order, and even ones."""
 
     def __init__(self, commands: Any, order: list[int]) -> None:
-        self.HOVER, self.DelayLine, self._own, self._order = (
-            commands.HOVER,
-            commands.DelayLine,
-            commands,
-            order,
-        )
+        self.HOVER, self.HOVER_COMMAND = commands.HOVER, commands.HOVER_COMMAND
+        self.DelayLine, self._own, self._order = commands.DelayLine, commands, order
 
     def normalised_speed(self, u: FloatArray, voltage: float | None = None) -> FloatArray:
         """Speeds of the shipped craft's rotors."""

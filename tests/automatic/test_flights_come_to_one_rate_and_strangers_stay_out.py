@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox.automatic.facts import response_rate
 from greybox.automatic.fit import prepare
 from greybox.automatic.flights import LEAST_RATE, MOST_RATE
+from greybox.data.conditioning import condition
 from greybox.estimation.record import sample_time
 from greybox.model.faults import BadDataError
 from tests.automatic.craft import IMU, POSE, flown, raw, vehicle
@@ -54,6 +56,19 @@ def test_a_log_at_1_khz_is_averaged_down():
     assert LEAST_RATE <= ready.rate <= MOST_RATE
     assert sample_time(ready.data) == pytest.approx(1 / ready.rate)
     assert ready.data.flights[0].duration == pytest.approx(5.0, abs=0.05)
+
+
+def test_a_gyro_slower_than_the_rows_needs_no_higher_rate():
+    (log,) = logs(1)
+    dense = faster(log, 4)
+    rare = np.arange(dense.n) % 4 != 0
+    channels = {
+        n: np.where(rare, np.nan, v) if n in ("p", "q", "r") else v
+        for n, v in dense.channels.items()
+    }
+    sparse = replace(dense, channels=channels)
+    needed = [response_rate(condition(one, trim=False)) for one in (dense, sparse)]
+    assert needed[1] == pytest.approx(needed[0], rel=0.1)
 
 
 def test_flights_at_one_rate_that_is_enough_are_taken_as_they_are():

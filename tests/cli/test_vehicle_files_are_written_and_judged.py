@@ -54,6 +54,16 @@ def test_the_title_of_a_file_holds_no_number_that_a_setting_changes(name):
     assert not re.search(r"\d (kg|g|mm|cm|m)\b", title), title
 
 
+def test_half_the_mass_at_twice_the_arm_is_another_craft():
+    half = tomllib.loads(vehicle_text("plus", {"mass": 0.25, "arm": 0.25}))
+    whole = tomllib.loads(template_text("plus"))
+    np.testing.assert_allclose(half["inertia"], 2 * np.array(whole["inertia"]), rtol=1e-5)
+    thrust, torque = (
+        half["actuator"][k][2] / whole["actuator"][k][2] for k in ("thrust", "torque")
+    )
+    assert (thrust, torque) == pytest.approx((0.5, 1.0), rel=1e-5)
+
+
 @pytest.mark.parametrize("name", ["nanobench", "arpl_crazyflie"])
 def test_shipped_real_craft_are_not_called_impossible(name):
     assert check_vehicle(read_vehicle(vehicle_path(name))).ok

@@ -23,6 +23,7 @@ from greybox.model.vehicle import read_vehicle
 from greybox.simulators.data_sheet import model_of
 from greybox.symbolic import Layout
 from mpc_export.bundle import write_bundle
+from mpc_export.functions import model_functions
 from mpc_export.signals import told
 from tests.motor import model, record
 from tests.mpc_export import cases
@@ -44,6 +45,17 @@ MADE = {f"u{i}": f"(pwm{i} - 1000) / 1000" for i in range(1, 5)}
 def test_a_command_is_said_as_arithmetic(source, said):
     found = recipes(Source(group="command", **{"stream": "table", **source}))
     assert found.get("u1") == said
+
+
+@pytest.mark.parametrize("ends", [(0.0, 1.0), (0.1, 0.8)])
+def test_commands_have_the_range_of_the_vehicle_file(ends):
+    own = cases.physics()
+    vehicle = own.physics.vehicle
+    actuator = replace(vehicle.actuator, u_min=ends[0], u_max=ends[1])
+    physics = replace(own.physics, vehicle=replace(vehicle, actuator=actuator))
+    found = model_functions(replace(own, dynamics=physics))
+    for bound, end in zip(found.bounds, ends, strict=True):
+        np.testing.assert_array_equal(bound, np.full(4, end))
 
 
 def test_units_and_axes_are_said_too():

@@ -6,13 +6,16 @@ from __future__ import annotations
 import itertools
 import re
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from greybox.errors import GreyboxError, UnknownNameError
+from greybox.errors import FitError, GreyboxError, UnknownNameError
 from greybox.estimation.fit import fit
+from greybox.model.dynamics import StateSpaceModel
 from greybox.model.effects import effect_by_name
+from greybox.model.parameter import Parameter
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import template_text
 from greybox.planning import plan
@@ -20,9 +23,10 @@ from greybox.planning.excitation_blocks import excitation_blocks, fit_in
 from greybox.planning.information import Information, Score, choose, errors, information
 from greybox.planning.limits import Limits
 from greybox.planning.options import demand_lengths, left_over
-from greybox.planning.own_plan import LONGEST_SAMPLES
+from greybox.planning.own_plan import LONGEST_SAMPLES, plan_own
 from greybox.planning.planning_case import planning_case
 from greybox.planning.setpoints import csv, setpoints
+from greybox.symbolic import Layout, Signal
 
 LIMITS = Limits(
     box=(3.0, 2.0, 2.0), floor=0.4, speed=2.0, tilt=np.radians(25.0), command=(0.1, 0.9)
@@ -77,7 +81,16 @@ def test_setpoints_are_the_flight_that_was_judged(made):
     text = csv(columns).splitlines()
     assert text[0].split(",") == list(columns) and len(text) == 2501
     read = np.loadtxt(text[1:], delimiter=",")
-    np.testing.assert_allclose(read, np.stack(list(columns.values()), axis=1), atol=1e-3, rtol=1e-5)
+    np.testing.assert_allclose(read, np.stack(list(columns.values()), axis=1), rtol=1e-9)
+
+
+def test_a_table_keeps_clocks_and_small_signals():
+    t = 0.0025 * np.arange(100_000)
+    small = 1e-7 * np.sin(t)
+    text = csv({"t": t, "moment": small}).splitlines()
+    read = np.loadtxt(text[1:], delimiter=",")
+    np.testing.assert_allclose(np.diff(read[:, 0]), 0.0025, rtol=1e-4)
+    np.testing.assert_allclose(read[:, 1], small, rtol=1e-9)
 
 
 def test_the_plan_tells_more_than_hover_and_figure_of_eight(made):
@@ -217,6 +230,45 @@ def test_a_piece_is_made_smaller_until_it_fits():
     )
     assert wide is not None and small is not None
     assert small.amplitude < wide.amplitude
+
+
+def test_an_experiment_that_leaves_its_limits_as_a_whole_is_none():
+    tank = StateSpaceModel(
+        name="tank",
+        states=Layout([Signal(name="h", unit="m")]),
+        inputs=Layout([Signal(name="q", unit="m^3/s")]),
+        outputs=Layout([Signal(name="h", unit="m")]),
+        parameters=(
+            Parameter(name="a", unit="1/m^2", nominal=1.0, lower=0.1, upper=9.0, scale=1.0),
+        ),
+        dynamics=lambda t, x, u, p: [p["a"] * u[0]],
+        measurement=lambda t, x, u, p: [x[0]],
+        noise_states=("h",),
+        initial_sigma={"h": 0.1},
+        sensor_sigma={"h": 0.01},
+    )
+    limits = {"h": (-3.0, 5.0)}
+    even = plan_own(tank, {"q": (-1.0, 1.0)}, limits=limits, seconds=20.0, sample_time=0.05)
+    height = even.log.flights[0].segments[0].channels["h"]
+    assert -3.0 <= height.min() < height.max() <= 5.0
+    # It fills: each piece begins empty.
+    with pytest.raises(FitError, match="not one after the other"):
+        plan_own(tank, {"q": (0.0, 1.0)}, limits=limits, seconds=20.0, sample_time=0.05)
+
+
+def test_limits_that_say_nothing_of_commands_keep_those_of_the_vehicle():
+    whole = vehicle()
+    actuator = replace(whole.actuator, u_min=0.1, u_max=0.9)
+    found = plan(
+        replace(whole, actuator=actuator),
+        effects=["rotor_drag"],
+        seconds=10.0,
+        limits=Limits(box=(5.0, 5.0, 3.0)),
+        setpoints_only=True,
+    )
+    assert found.limits.box == (5.0, 5.0, 3.0)
+    assert found.limits.command == pytest.approx((0.116, 0.884))
+    assert found.to_dict()["limits"]["command"] == pytest.approx([0.116, 0.884])
 
 
 def test_a_model_brings_its_values_and_what_its_flights_told(fitted):

@@ -22,7 +22,6 @@ CASES = {
     "delayed": lambda log, rng: faults.delayed(log, ["p"], 0.015),
     "low_passed": lambda log, rng: faults.low_passed(log, ["p"], 5.0),
     "vibration": lambda log, rng: faults.vibration(log, ["p"], 0.1, rng),
-    "missing_cells": lambda log, rng: faults.missing_cells(log, ["p"], 0.1, rng),
 }
 
 
@@ -51,9 +50,3 @@ def test_dropped_rows_leave_the_others_aligned(log):
     out = faults.dropped_rows(log, 0.2, np.random.default_rng(2))
     assert 3800 < out["t"].size < 4200
     assert np.array_equal(out["p"], np.sin(out["t"]))
-
-
-def test_a_jittered_clock_never_runs_backwards(log):
-    out = faults.jittered_clock(log, 0.02, np.random.default_rng(3))
-    assert np.all(np.diff(out["t"]) > 0)
-    assert np.std(out["t"] - log["t"]) > 0.002

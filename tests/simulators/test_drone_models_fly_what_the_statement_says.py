@@ -71,7 +71,7 @@ def flown(dynamics: Rates, folder: Path, name: str, u: Array, dt: float = 0.01) 
     hover = np.full(4, commands.RPM_MAX * commands.HOVER)
     start = [START["position"], [x, y, z, w], START["velocity"], START["rate"], hover]
     s = np.concatenate(start)
-    line, rows = commands.DelayLine(np.full(4, commands.HOVER)), []
+    line, rows = commands.DelayLine(np.full(4, commands.HOVER_COMMAND)), []
     for k in range(u.shape[1]):
         for seconds, held in line.pieces(u[:, k], dt):
             cmd = commands.RPM_MAX * commands.normalised_speed(held)

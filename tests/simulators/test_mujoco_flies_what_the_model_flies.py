@@ -52,7 +52,7 @@ def flown(folder: Path, com: Array, u: Array, dt: float = 0.01) -> Array:
     callback.attach()
     try:
         callback.hover(model, data)
-        line, rows = commands.DelayLine(np.full(4, commands.HOVER)), []
+        line, rows = commands.DelayLine(np.full(4, commands.HOVER_COMMAND)), []
         for k in range(u.shape[1]):
             for seconds, held in line.pieces(u[:, k], dt):
                 count = int(np.ceil(seconds / 0.002))

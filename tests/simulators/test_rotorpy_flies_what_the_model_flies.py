@@ -32,17 +32,13 @@ def flown(folder: Path, u: Array, dt: float = 0.01) -> Array:
         "q": np.array([x, y, z, w]),
         "w": START["rate"],
     }
-    line, rows = commands.DelayLine(np.full(4, inverse_of_hover(commands))), []
+    line, rows = commands.DelayLine(np.full(4, commands.HOVER_COMMAND)), []
     for k in range(u.shape[1]):
         for seconds, held in line.pieces(u[:, k], dt):
             state = craft.step(state, {"cmd_motor_speeds": vehicle.motor_speeds(held)}, seconds)
         x, y, z, w = state["q"]
         rows.append([*state["x"], *state["v"], w, x, y, z, *state["w"]])
     return np.array(rows).T
-
-
-def inverse_of_hover(commands: object) -> float:
-    return float(commands.HOVER)  # type: ignore[attr-defined]
 
 
 def test_what_it_says_whole_flies_alike(tmp_path: Path) -> None:

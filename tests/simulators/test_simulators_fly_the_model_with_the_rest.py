@@ -31,9 +31,9 @@ NOT_SAID = {
 }
 
 
-def flown(target: str, folder: Path, hover: float, u: Array, *, rest: bool) -> Array:
-    start = Start(rotors=np.full(4, hover), **START)
-    before = np.full((5, 4), hover)
+def flown(target: str, folder: Path, craft: Craft, u: Array, *, rest: bool) -> Array:
+    start = Start(rotors=np.full(4, craft.hover_nu), **START)
+    before = np.full((5, 4), craft.hover_command)
     try:
         states = FLYERS[target](folder / target, start, u.T, before, 0.01, rest=rest)
     except MissingSimulator as missing:
@@ -52,7 +52,7 @@ def test_what_it_says_whole_flies_alike(target: str, tmp_path: Path) -> None:
     (statement,) = twin(model, [target], out=tmp_path).statements
     assert {r.word.status for r in statement.rows} == {Status.SAID}
     u = manoeuvre(statement.spoken.hover_nu)
-    theirs = flown(target, tmp_path, statement.spoken.hover_nu, u, rest=False)
+    theirs = flown(target, tmp_path, statement.spoken, u, rest=False)
     apart = agreement(fly(Craft.of(model), START, u, 0.01)[:13], theirs)
     assert max(apart.values()) < 0.01, apart
 
@@ -62,7 +62,7 @@ def test_what_it_folds_flies_as_the_statement_says(target: str, tmp_path: Path) 
     model = identified(NOT_SAID, gravity=9.8)
     (statement,) = twin(model, [target], out=tmp_path).statements
     u = manoeuvre(statement.spoken.hover_nu)
-    theirs = flown(target, tmp_path, statement.spoken.hover_nu, u, rest=False)
+    theirs = flown(target, tmp_path, statement.spoken, u, rest=False)
     apart = agreement(fly(statement.spoken, START, u, 0.01)[:13], theirs)
     assert max(apart.values()) < 0.01, apart
 
@@ -77,7 +77,7 @@ def test_with_the_rest_every_simulator_flies_the_model(target: str, tmp_path: Pa
     craft = Craft.of(model)
     u = manoeuvre(craft.hover_nu)
     ours = fly(craft, START, u, 0.01)[:13]
-    apart = agreement(ours, flown(target, tmp_path, craft.hover_nu, u, rest=True))
+    apart = agreement(ours, flown(target, tmp_path, craft, u, rest=True))
     assert max(apart.values()) < 0.01, apart
     without = agreement(ours, fly(statement.spoken, START, u, 0.01)[:13])
     assert without["rate"] > 0.05, "what is left out can be seen"
@@ -100,7 +100,7 @@ def test_what_was_learned_flies_with_the_rest(target: str, tmp_path: Path) -> No
     craft = Craft.of(learned(*MOTION))
     u = manoeuvre(craft.hover_nu)
     ours = fly(craft, START, u, 0.01, learned=True)[:13]
-    apart = agreement(ours, flown(target, tmp_path, craft.hover_nu, u, rest=True))
+    apart = agreement(ours, flown(target, tmp_path, craft, u, rest=True))
     assert max(apart.values()) < 0.01, apart
     without = agreement(ours, fly(statement.spoken, START, u, 0.01)[:13])
     assert without["rate"] > 0.05, "what is left out can be seen"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from greybox.statistics.feedback import follows
+from greybox.statistics.feedback import MOST_ROWS, follows
 from greybox.statistics.spectra import (
     averages_in,
     band,
@@ -83,6 +83,12 @@ def test_feedback_is_told_from_its_absence():
     chirp = scipy.signal.chirp(t, 0.2, 60.0, 10.0, method="logarithmic")
     assert follows([np.column_stack([chirp, flown(0)[:, 1]])], 0, [1]) is not True
     assert follows([flown(0)[:100]], 0, [1]) is None
+
+
+@pytest.mark.parametrize("rest", [5, 15, 39, 80])
+def test_a_rest_of_a_stretch_that_is_too_short_is_left_out(rest: int):
+    whole = flown(0, 0.2, seconds=DT * (MOST_ROWS - rest), noise=0.6)
+    assert follows([whole, flown(1)], 0, [1]) is True
 
 
 def test_two_inputs_at_once_are_told_apart_by_partial_coherence():

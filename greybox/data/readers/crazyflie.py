@@ -148,9 +148,10 @@ _CHOICES: tuple[tuple[str, tuple[str, ...], str, str, str], ...] = (
     # group, variables, unit, frame, note
     ("rate", ("gyro.x", "gyro.y", "gyro.z"), "deg/s", "FLU", "low-pass filtered by the firmware"),
     ("rate", ("gyro_unfiltered.x", "gyro_unfiltered.y", "gyro_unfiltered.z"), "deg/s", "FLU", ""),
+    # The firmware's pitch is nose up, and so is its rate where it is packed.
     (
         "rate",
-        ("stateEstimateZ.rateRoll", "stateEstimateZ.ratePitch", "stateEstimateZ.rateYaw"),
+        ("stateEstimateZ.rateRoll", "-stateEstimateZ.ratePitch", "stateEstimateZ.rateYaw"),
         "mrad/s",
         "FLU",
         "estimate",
@@ -165,7 +166,6 @@ _CHOICES: tuple[tuple[str, tuple[str, ...], str, str, str], ...] = (
     ),
     ("attitude", ("kalman.q0", "kalman.q1", "kalman.q2", "kalman.q3"), "1", "", "estimate"),
     ("attitude", ("locSrv.qw", "locSrv.qx", "locSrv.qy", "locSrv.qz"), "1", "", "external pose"),
-    # The firmware's pitch is nose up.
     (
         "attitude",
         ("stateEstimate.roll", "-stateEstimate.pitch", "stateEstimate.yaw"),

@@ -9,7 +9,7 @@ src/modules/logger/logged_topics.cpp for what is logged how often.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -54,8 +54,8 @@ def signal_of_thrust(factor: float) -> Callable[[FloatArray], FloatArray]:
     return convert
 
 
-def _stopped(low: float, high: float) -> Callable[[FloatArray], FloatArray]:
-    """Outputs low..high to 0..1; below `low` (disarmed) is 0."""
+def _stopped(low: FloatArray, high: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Outputs low..high (K,) to 0..1; below `low` (disarmed) is 0."""
     return lambda values: np.asarray(np.maximum((values - low) / (high - low), 0.0))
 
 
@@ -246,19 +246,18 @@ def _outputs(
 ) -> Iterator[tuple[Source, float]]:
     """The motor outputs of one instance, and how much they move (of several instances the one that
     moves drives)."""
-    by_function = _motor_outputs(name, parameters)
-    if not by_function and servos_among(parameters):
+    bus, places = _motor_outputs(parameters)
+    if not places and servos_among(parameters):
         return
-    if by_function:
-        used = tuple(f"output[{i}]" for i in by_function)
-    else:
+    if not places:
         count = rotors or {2.0: 4, 13.0: 6, 14.0: 8}.get(parameters.get("MAV_TYPE", 0.0), 0)
         moving = [
-            f"output[{i}]"
+            i
             for i in range(16)
             if f"output[{i}]" in stream.fields and np.ptp(stream.fields[f"output[{i}]"]) > 0
         ]
-        used = tuple(f"output[{i}]" for i in range(count)) if count else tuple(moving)
+        places = tuple(range(count)) if count else tuple(moving)
+    used = tuple(f"output[{i}]" for i in places)
     if not used or any(f not in stream.fields for f in used):
         return
     values = np.column_stack([stream.fields[f] for f in used])
@@ -268,24 +267,38 @@ def _outputs(
     if top <= 1.5:
         yield Source(group="command", stream=name, fields=used), spread
     elif 800.0 < top <= 2500.0 and float(np.nanmin(values)) >= 500.0:
-        low = parameters.get(
-            "PWM_MAIN_MIN1", parameters.get("PWM_MAIN_MIN", parameters.get("PWM_MIN", 1000.0))
-        )
-        high = parameters.get(
-            "PWM_MAIN_MAX1", parameters.get("PWM_MAIN_MAX", parameters.get("PWM_MAX", 2000.0))
-        )
-        if not high > low:
-            low, high = 1000.0, 2000.0
+        low, high = _pulses(bus, places, parameters)
+        ends = dict.fromkeys(zip(low.tolist(), high.tolist(), strict=True))
         yield (
             Source(
                 group="command",
                 stream=name,
                 fields=used,
                 convert=_stopped(low, high),
-                note=f"PWM {low:g}..{high:g} us",
+                note=f"PWM {', '.join(f'{a:g}..{b:g}' for a, b in ends)} us",
             ),
-            spread / (high - low),
+            float(np.nanmean(np.nanstd(values, axis=0) / (high - low))),
         )
+
+
+def _pulses(
+    bus: str, places: Sequence[int], parameters: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Shortest and longest pulse (K,) [us] of the outputs at `places` of a bus; those of its first
+    where one has none. Older versions have one range of all outputs; where they have one each
+    besides, -1 there stands for that."""
+
+    def of(end: str, place: int, usual: float) -> float:
+        own, first = f"{bus}_{end}{place + 1}", f"{bus}_{end}1"
+        names = (own if own in parameters else first, f"{bus}_{end}", f"PWM_{end}")
+        return next((v for n in names if (v := parameters.get(n, 0.0)) > 0.0), usual)
+
+    low, high = (
+        np.array([of(end, i, usual) for i in places])
+        for end, usual in (("MIN", 1000.0), ("MAX", 2000.0))
+    )
+    sound = high > low
+    return np.where(sound, low, 1000.0), np.where(sound, high, 2000.0)
 
 
 def servos_among(parameters: Mapping[str, float]) -> bool:
@@ -294,9 +307,9 @@ def servos_among(parameters: Mapping[str, float]) -> bool:
     return int(parameters.get("MAV_TYPE", 0)) in VTOL
 
 
-def _motor_outputs(name: str, parameters: Mapping[str, float]) -> tuple[int, ...]:
-    """Indices of the outputs that drive motors 1, 2, ... by the function parameters of the main or
-    auxiliary outputs."""
+def _motor_outputs(parameters: Mapping[str, float]) -> tuple[str, tuple[int, ...]]:
+    """(bus, indices of its outputs that drive motors 1, 2, ...) by the function parameters of the
+    main or auxiliary outputs; the main ones and no index where these do not tell."""
     for bus in ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC", "UAVCAN_EC"):
         places: dict[int, int] = {}
         for i in range(16):
@@ -304,8 +317,8 @@ def _motor_outputs(name: str, parameters: Mapping[str, float]) -> tuple[int, ...
             if MOTOR_FUNCTION <= function < MOTOR_FUNCTION + 12:
                 places.setdefault(function - MOTOR_FUNCTION, i)
         if places and sorted(places) == list(range(len(places))):
-            return tuple(places[k] for k in range(len(places)))
-    return ()
+            return bus, tuple(places[k] for k in range(len(places)))
+    return "PWM_MAIN", ()
 
 
 def _speeds(streams: Mapping[str, Stream]) -> Iterator[Source]:

@@ -11,14 +11,17 @@ PX4's px4_msgs, which carry uORB's fields in FRD and NED.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import TypeGuard
 
 import numpy as np
 
+from greybox.data.raw import FloatArray
 from greybox.data.readers.protobuf import Types, decode, described
+from greybox.data.readers.px4 import sources_of
 from greybox.data.readers.recording import (
     LogFormat,
     Recording,
@@ -145,13 +148,8 @@ class _Topic:
                 f" (received {1e3 * np.median(late):.3g} ms later, spread "
                 f"{1e3 * np.ptp(late):.3g} ms)"
             )
-        px4 = fields.get("timestamp_sample", fields.get("timestamp"))
-        if "px4_msgs" in self.kind and px4 is not None and (px4 > 0).all():
-            command = self.kind.rpartition("/")[2].startswith("Actuator")
-            t, clock = (
-                (fields["timestamp"] if command and "timestamp" in fields else px4) * 1e-6,
-                "PX4's stamp",
-            )
+        if "px4_msgs" in self.kind and (own := _px4_stamps(self.kind, fields)) is not None:
+            t, clock = own, "PX4's stamp"
         return Stream(
             name=name,
             t=t,
@@ -243,10 +241,11 @@ def _entries(name: str, count: int = 3) -> tuple[str, ...]:
 
 def _sources(streams: Mapping[str, Stream]) -> Iterator[Source]:
     """What well-known message types hold; topics in the order of their names."""
+    px4 = _px4(streams)
     for name, stream in streams.items():
         kind = stream.kind.rpartition("/")[2]
         if "px4_msgs" in stream.kind:
-            yield from _px4(name, kind, stream)
+            yield from px4  # all at the first of them
         elif kind == "Imu":
             yield Source(group="rate", stream=name, fields=_vector("angular_velocity"), frame="FLU")
             yield Source(
@@ -289,29 +288,32 @@ def _sources(streams: Mapping[str, Stream]) -> Iterator[Source]:
                     yield Source(group=group, stream=name, fields=used)
 
 
-def _px4(name: str, kind: str, stream: Stream) -> Iterator[Source]:
-    if kind == "ActuatorMotors":
-        used = tuple(
-            f
-            for f in _entries("control", 12)
-            if f in stream.fields and bool(np.isfinite(stream.fields[f]).any())
-        )
-        if used:
-            yield Source(group="command", stream=name, fields=used, note="before THR_MDL_FAC")
-    if kind == "SensorCombined":
-        yield Source(group="rate", stream=name, fields=_entries("gyro_rad"), frame="FRD")
-        yield Source(
-            group="specific_force", stream=name, fields=_entries("accelerometer_m_s2"), frame="FRD"
-        )
-    if kind == "VehicleAngularVelocity":
-        yield Source(group="rate", stream=name, fields=_entries("xyz"), frame="FRD")
-    if kind == "VehicleAttitude":
-        yield Source(group="attitude", stream=name, fields=_entries("q", 4), frame="FRD/NED")
-    if kind == "VehicleLocalPosition":
-        yield Source(group="position", stream=name, fields=_XYZ, frame="NED")
-        yield Source(group="velocity", stream=name, fields=("vx", "vy", "vz"), frame="NED")
-    if kind == "BatteryStatus":
-        yield Source(group="battery", stream=name, fields=("voltage_v",))
+def _px4_stamps(kind: str, fields: Mapping[str, FloatArray]) -> FloatArray | None:
+    """When each message was sampled [s], or sent where that is not told, or where it is a command;
+    None where no message says."""
+    names = ["timestamp_sample", "timestamp"]
+    if kind.rpartition("/")[2].startswith("Actuator"):
+        names.reverse()
+    return next((1e-6 * fields[n] for n in names if n in fields and (fields[n] > 0).all()), None)
+
+
+def _px4(streams: Mapping[str, Stream]) -> Iterator[Source]:
+    """What PX4's messages are as in its own logs, of all topics of one type in the order of their
+    names. A bag has no parameters: motors are before THR_MDL_FAC, and what the pulses of a driver
+    mean is not known."""
+    of_kind: dict[str, list[str]] = {}
+    for name, stream in streams.items():
+        if "px4_msgs" in stream.kind:
+            own = re.sub(r"(?<!^)(?=[A-Z])", "_", stream.kind.rpartition("/")[2]).lower()
+            of_kind.setdefault(own, []).append(name)
+    of_kind.pop("actuator_outputs", None)
+    for k in range(max(map(len, of_kind.values()), default=0)):
+        names = {kind: topics[k] for kind, topics in of_kind.items() if k < len(topics)}
+        known = {kind: replace(streams[name], kind=kind) for kind, name in names.items()}
+        for source in sources_of(known, {}, 0.0, 0):
+            if source.stream in names:
+                note = "before THR_MDL_FAC" if source.group == "command" else source.note
+                yield replace(source, stream=names[source.stream], note=note)
 
 
 def _recognise(path: Path, head: bytes) -> bool:

@@ -21,7 +21,6 @@ class Accelerometer(Sensor):
     summary = "specific force at the IMU"
     noisiest = 10.0
     noisiest_hint = "m/s^2"
-    mistaken_for = ("force",)
     colour_time = 0.05
     witnesses = frozenset({"velocity", "position"})
 

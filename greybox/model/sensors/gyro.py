@@ -17,7 +17,6 @@ class Gyro(Sensor):
     noisiest = 0.5
     noisiest_hint = "rad/s, not deg/s"
     shows = "rate"
-    mistaken_for = ("torque",)
     colour_time = 0.05
     witnesses = frozenset({"attitude"})
 

@@ -28,7 +28,6 @@ from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
 from greybox.simulators.laws import drag_into_rotors, no_gyroscopic_moment
 from greybox.simulators.layout import Place, order_in
-from greybox.simulators.module_text import hover_command
 from greybox.simulators.words import (
     THRUST_MAP,
     TORQUE_MAP,
@@ -183,7 +182,7 @@ def thrust_of_command(craft: Craft) -> tuple[float, float]:
     f = craft.get("thrust_curve.f")
     if craft.thrust[0] == 0.0 and f == 0.0:
         return float(craft.thrust[1]), float(craft.thrust[2])
-    u, nu = hover_command(craft), craft.hover_nu
+    u, nu = craft.hover_command, craft.hover_nu
     weight = craft.mass * craft.gravity / craft.count
     slope = float(craft.thrust[1] + 2.0 * craft.thrust[2] * nu) * (1.0 - f + 2.0 * f * u)
     return 2.0 * weight / u - slope, (slope - weight / u) / u
@@ -193,7 +192,7 @@ def torque_of_command(craft: Craft) -> tuple[float, float, float]:
     """Torque c0, c1, c2 [N m] of SITL's k u (c1 u + c2 u^2), equal to the craft's at hover: the
     expansion to second degree about the command of hover."""
     c1, c2 = thrust_of_command(craft)
-    u, nu = hover_command(craft), craft.hover_nu
+    u, nu = craft.hover_command, craft.hover_nu
     q0, q1, q2 = craft.torque
     k = float(q0 + nu * (q1 + nu * q2)) / (u * (c1 * u + c2 * u * u))
     # u^3 about u0: 3 u0 u^2 - 3 u0^2 u + u0^3
@@ -215,7 +214,7 @@ def _damping(craft: Craft) -> float:
 def _frame(craft: Craft, order: tuple[int, ...]) -> str:
     n, weight = craft.count, craft.mass * GRAVITY
     c1, c2 = float(craft.thrust[1]), float(craft.thrust[2])
-    full, u = c1 + c2, hover_command(craft)
+    full, u = c1 + c2, craft.hover_command
     size = 2.0 * float(np.linalg.norm(craft.arms[:, :2], axis=1).mean())
     torque = float(sum(c * u**k for k, c in enumerate(craft.torque)))
     yaw = torque / (YAW_SCALE * size * u * weight / n)

@@ -107,6 +107,65 @@ def test_json_in_mcap_is_read(tmp_path: Path) -> None:
     assert raw.channels["u2"][0] == 0.6
 
 
+def as_json(path: Path, topics: dict[str, tuple[str, np.ndarray, dict[str, Any]]]) -> Path:
+    """An MCAP file with messages of JSON: topic -> (type, stamps [us], fields (N,) or (N, k))."""
+    from mcap.writer import Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, (kind, stamps, fields) in topics.items():
+            schema = writer.register_schema(name=kind, encoding="jsonschema", data=b"{}")
+            channel = writer.register_channel(
+                topic=topic, message_encoding="json", schema_id=schema
+            )
+            for k, stamp in enumerate(stamps.astype(int).tolist()):
+                message = {"timestamp": stamp} | {n: v[k].tolist() for n, v in fields.items()}
+                late = 1000 * stamp + 10**15
+                writer.add_message(
+                    channel, log_time=late, publish_time=late, data=json.dumps(message).encode()
+                )
+        writer.finish()
+    return path
+
+
+def test_px4_messages_in_a_bag_are_read_as_those_of_its_own_log(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    c = w.channels(rows=N)
+    stamps = np.rint((c["t"] + 50.0) * 1e6)
+    span, unknown = np.full(N, 4000), np.zeros(N, dtype=int)
+    motors = np.column_stack([c[f"u{i}"] for i in (1, 2, 3, 4)])
+    rpm = 1000.0 * (1.0 + np.arange(4)) + 0 * c["t"][:, None]
+    sensors = {
+        "gyro_rad": np.column_stack(w.to_frd(c, ("p", "q", "r"))),
+        "gyro_integral_dt": span,
+        "accelerometer_m_s2": np.column_stack(w.to_frd(c, ("ax", "ay", "az"))),
+        "accelerometer_integral_dt": span,
+    }
+    attitude = {"q": w.px4_attitude(c), "timestamp_sample": unknown}
+    topics = {
+        "/fmu/in/actuator_motors": ("ActuatorMotors", stamps, {"control": motors}),
+        # a mean over 4 ms belongs to the middle of them
+        "/fmu/out/sensor_combined": ("SensorCombined", stamps + 2000, sensors),
+        # what tells no time of its sample has that of its message
+        "/fmu/out/vehicle_attitude": ("VehicleAttitude", stamps, attitude),
+        "/fmu/out/actuator_outputs": ("ActuatorOutputs", stamps, {"output": 1000 + 1000 * motors}),
+        "/fmu/out/esc_status": (
+            "EscStatus",
+            stamps,
+            {f"esc[{i}].esc_rpm": rpm[:, i] for i in range(4)},
+        ),
+    }
+    kinds = {n: (f"px4_msgs/msg/{k}", t, f) for n, (k, t, f) in topics.items()}
+    raw = read_table(as_json(tmp_path / "f.mcap", kinds))
+    for name in ("p", "q", "r", "ax", "az", "u1", "u4"):
+        np.testing.assert_allclose(raw.channels[name], c[name], atol=1e-9, err_msg=name)
+    alike = sum(raw.channels[k] * c[k] for k in ("qw", "qx", "qy", "qz"))
+    np.testing.assert_allclose(np.abs(alike), 1.0, atol=1e-5)
+    assert any("before THR_MDL_FAC" in n for n in raw.notes)
+    np.testing.assert_allclose(raw.channels["omega3"], 3000 * np.pi / 30)
+
+
 # ArduPilot ----------------------------------------------------------------------------------------------------------
 
 
@@ -306,6 +365,18 @@ def test_events_of_two_rates_meet_and_a_check_sum_that_is_wrong_is_told(tmp_path
     content[-1] ^= 1
     path.write_bytes(content)
     assert any("check sum is wrong" in n for n in read_table(path).notes)
+
+
+def test_packed_rates_have_the_signs_of_the_gyro(tmp_path: Path) -> None:
+    """stabilizer.c packs the pitch rate with the sign of its pitch: nose up."""
+    c = w.channels(rows=N)
+    names = [(f"stateEstimateZ.rate{n}", "h") for n in ("Roll", "Pitch", "Yaw")]
+    packed = np.rint(1e3 * np.column_stack([c["p"], -c["q"], c["r"]]))
+    path = tmp_path / "log02"
+    path.write_bytes(w.usd_bytes([("packed", names, np.rint(c["t"] * 1e6), packed)]))
+    raw = read_table(path)
+    for name in "pqr":
+        np.testing.assert_allclose(raw.channels[name], c[name], atol=1e-3)
 
 
 # Tables -------------------------------------------------------------------------------------------------------------

@@ -103,6 +103,34 @@ def test_outputs_are_put_into_motor_order_by_their_functions(
         np.testing.assert_allclose(raw.channels[f"u{i}"], c[f"u{i}"], atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        # one range of all outputs; -1 in those of each stands for it (PX4 1.7 to 1.12)
+        {"PWM_MIN": 1075, "PWM_MAX": 1950, "PWM_MAIN_MIN1": -1, "PWM_MAIN_MAX1": -1},
+        {"PWM_MAIN_MIN": 1075, "PWM_MAIN_MAX": 1950, "PWM_MAIN_MIN1": -1, "PWM_MAIN_MAX1": -1},
+        # motors on auxiliary outputs beside main ones of another range
+        {"PWM_MAIN_MIN1": 1000, "PWM_MAIN_MAX1": 2000}
+        | {f"PWM_AUX_FUNC{i}": 100 + i for i in (1, 2, 3, 4)}
+        | {f"PWM_AUX_MIN{i}": 1075 for i in (1, 2, 3, 4)}
+        | {f"PWM_AUX_MAX{i}": 1950 for i in (1, 2, 3, 4)},
+    ],
+)
+def test_pulses_have_the_range_of_the_outputs_that_send_them(
+    tmp_path: Path, ranges: dict[str, int]
+) -> None:
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        log.parameter("PWM_MIN", -1)
+        log.parameter("PWM_MAX", -1)
+        for name, value in ranges.items():
+            log.parameter(name, value)
+
+    c = w.channels(rows=N)
+    raw = read_table(with_change(tmp_path / "a.ulg", change, version="old"))
+    for i in (1, 2, 3, 4):
+        np.testing.assert_allclose(raw.channels[f"u{i}"], c[f"u{i}"], atol=1e-5)
+
+
 def test_disarmed_outputs_are_zero_and_not_negative(tmp_path: Path) -> None:
     c = w.channels(rows=N)
     c["u1"][:50] = (900 - 1075) / (1950 - 1075)
