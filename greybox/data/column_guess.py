@@ -100,8 +100,10 @@ _TIME_WORDS = {
 }
 """How the name of a clock says its unit."""
 _TIME = re.compile(
-    rf"t|\w*time\w*|\w*stamp\w*|\w*clock\w*|elapsed\w*|ticks?|(?:t_?)?(?:{'|'.join(_TIME_WORDS.values())})"
+    r"(?:.*[\W_])?t|t_\w+|.*(?:time|stamp|clock|elapsed|epoch).*"
+    rf"|(?:t_?)?(?:ticks?|{'|'.join(_TIME_WORDS.values())})"
 )
+"""Names of clocks; only what grows as a clock is asked."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """The figure of docs/discovery.md: a search step by step, its certificates, and the gap.
 
-    python -m scenarios.foreign.naming --cells single --seeds 61 61 --seconds 8 --out naming
-    python -m scenarios.studies.discovery_figure naming/logs/single_61/found/discovery.json OUT.svg
+python -m scenarios.foreign.naming --cells single --seeds 61 61 --seconds 8 --out naming
+python -m scenarios.studies.discovery_figure naming/logs/single_61/found/discovery.json OUT.svg
 """
 
 from __future__ import annotations

@@ -324,6 +324,11 @@ def test_the_clock_is_told_by_its_steps(step: float, unit: str) -> None:
         ("seconds", 0.01, "s"),
         ("timestamps", 10_000, "us"),
         ("t_us", 0.01, "s"),  # the name is wrong
+        ("%time", 1e7, "ns"),
+        ("field.header.stamp", 1e7, "ns"),
+        ("Time since start (s)", 0.01, "s"),
+        ("sim.t", 0.01, "s"),
+        ("t_sim", 0.01, "s"),
     ],
 )
 def test_the_clock_is_told_by_its_name_then_by_its_steps(name: str, step: float, unit: str) -> None:
