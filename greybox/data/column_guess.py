@@ -22,21 +22,25 @@ from greybox.frames import GRAVITY
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
 _WORDS = {
     "specific_force": r"acc\w*|a|specificforce|linearacceleration",
-    "rate": r"gyr\w*|angvel|angularvelocity|bodyrates?|rates?|w",
-    "velocity": r"v|vel|velocity|linvel|linearvelocity",
+    "rate": r"gyr\w*|angvel|angularvelocity|twistangular|bodyrates?|rates?|w",
+    "velocity": r"v|vel|velocity|linvel|linearvelocity|twistlinear",
     "position": r"p|pos|position",
     "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|des|desired",
 }
 _NUMBERED = {
-    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed",
-    "command": r"m|u|motors?|rotors?|pwm|cmd|command|esc|act|actuators?|outputs?",
+    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed|angularvelocities",
+    "command": r"m|u|motors?|rotors?|pwm|cmd|command|esc|act|actuators?|outputs?|outchannels"
+    r"|motorscontrol",
 }
+_ODOMETRY = re.compile(r"twist\W+twist\W+linear\W")
+"""The velocity of ROS's nav_msgs/Odometry, which is along the axes of the body."""
 _ROTOR = r"rotors?"
 """A word of commands that may mean a speed, too."""
 _AFTER = rf"pwm|cmd|command|output|e?rpm|speed|{_WORDS['setpoint']}"
 """Words that may stand behind the number of a motor or an axis: motor1_pwm, x_ref."""
 _ASKED = rf"cmd|command|actions?|{_WORDS['setpoint']}"
-"""Words by which a speed of the rotors is a command."""
+"""Words of what somebody asked for, so that nothing was measured, and a speed of the rotors is a
+command."""
 _SPEED = re.compile(r"rpm|omega|speed")
 _TURNS = (
     {"w": 0, "x": 1, "y": 2, "z": 3},
@@ -176,13 +180,12 @@ def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
         first, count = min(members), len(members)
         if first not in (0, 1) or not 3 <= count <= 8 or max(members) != first + count - 1:
             continue
-        group = next((g for g, words in _NUMBERED.items() if _says(stem, words)), "")
+        group = _said(stem, _NUMBERED)
         if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
             group = "rotor_speed"
         if group == "command" and not _commanded(stem, members.values(), columns):
             continue
-        asked = any(re.fullmatch(_ASKED, word) for word in re.split(r"[\W_]+", stem))
-        if asked and (group == "rotor_speed" or (not group and _SPEED.search(stem))):
+        if _among(stem, _ASKED) and (group == "rotor_speed" or (not group and _SPEED.search(stem))):
             group = "command"
         if group:
             yield group, [members[i] for i in sorted(members)]
@@ -199,7 +202,7 @@ def _attitudes(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
     names."""
     for ends in _TURNS:
         for stem, members in _families(columns, ends):
-            if len(members) != len(ends) or _wanted(stem) or stem in _OF_TIME:
+            if len(members) != len(ends) or _among(stem, _ASKED) or stem in _OF_TIME:
                 continue
             turning = len(ends) == 3 and _says(stem, _WORDS["rate"])
             yield "rate" if turning else "attitude", [members[i] for i in range(len(ends))]
@@ -233,6 +236,8 @@ def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
     return tuple(
         replace(g, frame="FRD" if down else "FLU", why=f"{g.why}; {along}")
         if g.group == "velocity" and _bare(g.fields[0]).lower() == "u"
+        else replace(g, frame="FLU", why=f"{g.why}; along the body, as nav_msgs/Odometry says")
+        if g.group == "velocity" and _ODOMETRY.search(g.fields[0].lower())
         else replace(g, frame=g.frame or frames.get(g.group, ""))
         for g in found
     )
@@ -304,11 +309,12 @@ def _families(
     columns: Iterable[str], ends: Mapping[str, int]
 ) -> Iterable[tuple[str, dict[int, str]]]:
     """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x,
-    gyroADC[0], qw, or in the number of a motor: motor1_pwm."""
+    gyroADC[0], control.00, qw, or in the number of a motor: motor1_pwm."""
     out: dict[tuple[str, str], dict[int, str]] = {}
     for name in columns:
         pattern = (
-            rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*(?:[\W_]+({_AFTER}))?"
+            rf"(.*?)[\W_]*(?:0(?=\d))?({'|'.join(sorted(ends, key=len, reverse=True))})"
+            rf"\W*(?:[\W_]+({_AFTER}))?"
         )
         match = re.fullmatch(pattern, _bare(name), re.IGNORECASE)
         if match is not None:
@@ -340,7 +346,12 @@ def _may_be(group: str, name: str) -> bool:
 
 def _wanted(stem: str) -> bool:
     """Whether a stem says what is wanted and not what is measured."""
-    return any(re.fullmatch(_WORDS["setpoint"], word) for word in re.split(r"[\W_]+", stem))
+    return _among(stem, _WORDS["setpoint"])
+
+
+def _among(stem: str, words: str) -> bool:
+    """Whether any word of a stem is one of these."""
+    return any(re.fullmatch(words, word) for word in re.split(r"[\W_]+", stem))
 
 
 def _commanded(stem: str, names: Iterable[str], columns: Mapping[str, FloatArray]) -> bool:
@@ -359,18 +370,30 @@ def _meant(stem: str) -> str:
     """The group that the stem of three axes says; a setpoint is one of the position, where it says
     of what. "": none."""
     if _wanted(stem):
-        words = re.split(r"[\W_]+", stem)
         others = [_OTHERS, *(w for g, w in _WORDS.items() if g not in ("position", "setpoint"))]
-        return "" if any(re.fullmatch(o, word) for o in others for word in words) else "setpoint"
-    if any(re.fullmatch(_ABOUT, word) for word in re.split(r"[\W_]+", stem)):
+        return "" if any(_among(stem, o) for o in others) else "setpoint"
+    if _among(stem, _ABOUT) or _among(stem, _ASKED):
         return ""
-    return next((group for group, words in _WORDS.items() if _says(stem, words)), "")
+    return _said(stem, _WORDS)
+
+
+def _said(stem: str, groups: Mapping[str, str]) -> str:
+    """The group whose words most of the last words of a stem are: angular_velocity is no velocity.
+    "": none."""
+    run = {group: _run(stem, words) for group, words in groups.items()}
+    best = max(run, key=lambda group: run[group])
+    return best if run[best] else ""
 
 
 def _says(stem: str, words: str) -> bool:
-    """Whether the last word of a stem, or all of it, is one of these."""
-    last = re.split(r"[\W_]+", stem)[-1]
-    return bool(re.fullmatch(words, last) or re.fullmatch(words, re.sub(r"[\W_]+", "", stem)))
+    return _run(stem, words) > 0
+
+
+def _run(stem: str, words: str) -> int:
+    """How many of the last words of a stem, written as one, are one of these; 0 for none."""
+    parts = [part for part in re.split(r"[\W_]+", stem) if part != "xyz"]
+    runs = (n for n in range(len(parts), 0, -1) if re.fullmatch(words, "".join(parts[-n:])))
+    return next(runs, 0)
 
 
 def _unit_of_gravity(norm: float) -> str:

@@ -453,3 +453,44 @@ def test_electrical_turns_are_divided_by_pole_pairs_that_are_said(
     (tmp_path / "map.toml").write_text(draft((guess,), ("t", "s")))
     speeds = read_log(log, mapping=tmp_path / "map.toml", trim=False).segments[0].channels["omega1"]
     np.testing.assert_allclose(speeds, 30_000 * np.pi / 30)
+
+
+ROS = {
+    "rate": "/imu/data/angular_velocity/{xyz}",
+    "specific_force": "/imu/data/linear_acceleration/{xyz}",
+    "position": "/odom/pose/pose/position/{xyz}",
+    "velocity": "/odom/twist/twist/linear/{xyz}",
+    "attitude": "/odom/pose/pose/orientation/{wxyz}",
+    "rotor_speed": "/motor_speed/angular_velocities[{0123}]",
+    "command": "/mavros/rc/out/channels[{0123}]",
+}
+PX4 = {
+    "rate": "vehicle_angular_velocity/xyz.0{012}",
+    "specific_force": "vehicle_acceleration/xyz.0{012}",
+    "position": "vehicle_local_position/{xyz}",
+    "velocity": "vehicle_local_position/v{xyz}",
+    "attitude": "vehicle_attitude/q.0{0123}",
+    "command": "actuator_motors/control.0{0123}",
+}
+
+
+@pytest.mark.parametrize("paths", [ROS, PX4], ids=["ROS", "PX4"])
+def test_paths_of_messages_are_told_by_their_last_words(paths: dict[str, str]) -> None:
+    names = {
+        group: tuple(path[: path.index("{")] + end + path[path.index("}") + 1 :] for end in ends)
+        for group, path in paths.items()
+        for ends in (path[path.index("{") + 1 : path.index("}")],)
+    }
+    noise = np.random.default_rng(0)
+    columns = {n: noise.normal(size=50) for members in names.values() for n in members}
+    columns |= {f"/cmd_vel/twist/linear/{a}": noise.normal(size=50) for a in "xyz"}
+    columns |= {f"cmd/{a}": noise.normal(size=50) for a in ("roll", "pitch", "yaw")}
+    columns |= {names["attitude"][0]: np.ones(50)}
+    guesses = {g.group: g for g in guess_columns(columns)}
+    assert {group: g.fields for group, g in guesses.items()} == names
+    assert guesses["velocity"].frame == ("FLU" if paths is ROS else "")
+
+
+def test_what_is_asked_for_is_nothing_measured() -> None:
+    asked = ("cmd_vel_x", "cmd_vel_y", "cmd_vel_z", "cmd.roll", "cmd.pitch", "cmd.yaw")
+    assert guess_columns({n: np.linspace(-1, 1, 50) for n in asked}) == ()
