@@ -1,4 +1,4 @@
-"""Comma-separated logs, plain or gzip, of any column names (see `greybox.data.logs.csv`)."""
+"""Logs that are tables of text, plain or gzip, of any column names (see `greybox.data.logs.csv`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from greybox.data.readers.recording import LogFormat
 
 FORMAT = LogFormat(
     name="csv",
-    title="comma-separated values",
+    title="table of text",
     endings=(".csv", ".csv.gz"),
     table=read_csv,
     advice={
