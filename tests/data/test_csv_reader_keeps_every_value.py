@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import gzip
 
 import numpy as np
@@ -78,6 +79,37 @@ def test_columns_may_be_parted_otherwise(tmp_path_factory, form, table):
     begun = path.read_text().count("#") or 1
     begun += form == "comments before"
     assert read.rows.tolist() == list(range(begun + 1, begun + 1 + len(table)))
+
+
+@pytest.mark.parametrize(
+    ("form", "zone"),
+    [
+        ("%Y-%m-%d %H:%M:%S.%f", ""),
+        ("%Y-%m-%dT%H:%M:%S.%f", "Z"),
+        ("%Y-%m-%d %H:%M:%S.%f", "+02:00"),
+    ],
+)
+def test_dates_are_seconds(tmp_path, form, zone):
+    start = datetime.datetime(2026, 11, 30, 23, 59, 59, 900000)
+    stamps = [start + datetime.timedelta(milliseconds=10 * k) for k in range(30)]
+    cells = [s.strftime(form) + zone for s in stamps]
+    cells[7] = ""
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["Timestamp,p", *(f"{c},1.5" for c in cells)]))
+    t = read_csv(path).columns["Timestamp"]
+    expected = 1e-2 * np.arange(30.0)
+    expected[7] = np.nan
+    assert np.allclose(t - t[0], expected, rtol=0, atol=1e-6, equal_nan=True)
+    assert t[0] == pytest.approx(start.replace(tzinfo=datetime.UTC).timestamp(), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "cell", ["2026-13-01 00:00:00", "2026-11-30", "1 s", "2026-11-30 10:00:00 CET"]
+)
+def test_what_is_no_date_stays_text(tmp_path, cell):
+    path = tmp_path / "log.csv"
+    path.write_text(f"Timestamp,p\n{cell},1\n2026-11-30 10:00:00,2\n")
+    assert read_csv(path).columns["Timestamp"].dtype.kind == "U"
 
 
 def test_a_header_whose_quote_is_not_closed_is_a_clear_error(tmp_path):

@@ -25,6 +25,7 @@ from greybox.errors import DataError
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _SPACES = " "
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?) ?(Z|[+-]\d\d:?\d\d)?")
 _SEPARATORS = (";", "\t", "|")
 """What parts columns, where a header has at least as many of them as cells between commas."""
 
@@ -215,13 +216,31 @@ def _careful(
     rows: npt.NDArray[np.int64],
     where: str,
 ) -> dict[str, Column]:
-    """The slow path: empty cells become NaN, a column with text stays text, a ragged row is an
-    error."""
+    """The slow path: empty cells become NaN, dates seconds, other text stays text, a ragged row is
+    an error."""
     columns = zip(*_cells(body, len(header), separator, rows, where), strict=True)
     out: dict[str, Column] = {}
     for name, cells in zip(header, columns, strict=True):
         try:
             out[name] = np.array([c or "nan" for c in cells], dtype=np.float64)
         except ValueError:
-            out[name] = np.array(cells, dtype=np.str_)
+            dates = _dates(cells)
+            out[name] = np.array(cells, dtype=np.str_) if dates is None else dates
     return out
+
+
+def _dates(cells: Sequence[str]) -> npt.NDArray[np.float64] | None:
+    """Seconds since 1970 of dates of one time zone, whichever that is, as ISO 8601 writes them;
+    None where a cell is no date."""
+    read = [_DATE.fullmatch(c) for c in cells if c]
+    zones = {match[2] for match in read if match}
+    if not read or None in read or len(zones) > 1:
+        return None
+    text = [match[1].replace(" ", "T") if (match := _DATE.fullmatch(c)) else "NaT" for c in cells]
+    try:
+        stamps = np.array(text, dtype="datetime64[ns]")
+    except ValueError:
+        return None
+    whole = stamps.astype("datetime64[s]")
+    seconds = whole.astype(np.float64) + (stamps - whole).astype(np.float64) * 1e-9
+    return np.where(np.isnat(stamps), np.nan, seconds)
