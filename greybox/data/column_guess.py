@@ -19,7 +19,9 @@ from greybox.data.readers.mapping import SCHEMA, TIME_UNITS, mapping_text
 from greybox.files import Json
 from greybox.frames import GRAVITY
 
-_AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
+_AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2, "3": 3}
+"""A fourth is none: w0 to w3 are four rotors, and no rates."""
+_RATES_OF_PLACE = {f"{axis}{link}dot": i for i, axis in enumerate("xyz") for link in ("", "_")}
 _WORDS = {
     "specific_force": r"acc\w*|a|specificforce|linearacceleration",
     "rate": r"gyr\w*|angvel|angularvelocity|twistangular|bodyrates?|rates?|w",
@@ -28,9 +30,9 @@ _WORDS = {
     "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|des|desired",
 }
 _NUMBERED = {
-    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed|angularvelocities",
-    "command": r"m|u|motors?|rotors?|pwm|cmd|command|esc|act|actuators?|outputs?|outchannels"
-    r"|motorscontrol",
+    "rotor_speed": r"e?rpm|omega|w|rotorspeed|motorspeed|escspeed|angularvelocities",
+    "command": r"m|u|motors?|rotors?|pwm|cmd|command|controls?|ctrl|esc|act|actuators?|outputs?"
+    r"|outchannels",
 }
 _ODOMETRY = re.compile(r"twist\W+twist\W+linear\W")
 """The velocity of ROS's nav_msgs/Odometry, which is along the axes of the body."""
@@ -41,7 +43,7 @@ _AFTER = rf"pwm|cmd|command|output|e?rpm|speed|{_WORDS['setpoint']}"
 _ASKED = rf"cmd|command|actions?|{_WORDS['setpoint']}"
 """Words of what somebody asked for, so that nothing was measured, and a speed of the rotors is a
 command."""
-_SPEED = re.compile(r"rpm|omega|speed")
+_SPEED = re.compile(r"rpm|omega|speed|(?<![a-z])w(?![a-z])")
 _TURNS = (
     {"w": 0, "x": 1, "y": 2, "z": 3},
     {"roll": 0, "pitch": 1, "yaw": 2},
@@ -150,6 +152,9 @@ def guess_columns(
         take(group, turns)
     if speeds:
         take("velocity", speeds)
+    for stem, members in _families(columns, _RATES_OF_PLACE):
+        if len(members) == 3 and (not stem or _says(stem, _WORDS["position"])):
+            take("velocity", [members[i] for i in range(3)])
     for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}):
         if len(members) == 3 and not _wanted(stem):
             take(
@@ -180,6 +185,8 @@ def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
         first, count = min(members), len(members)
         if first not in (0, 1) or not 3 <= count <= 8 or max(members) != first + count - 1:
             continue
+        if count < 4 and _says(stem, _WORDS["rate"]):
+            continue
         group = _said(stem, _NUMBERED)
         if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
             group = "rotor_speed"
@@ -198,17 +205,26 @@ def _along_the_body(columns: Iterable[str]) -> list[str]:
 
 
 def _attitudes(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[str]]]:
-    """(group, names) of angles, of a quaternion with its scalar first, or of the turning of angles'
-    names."""
-    for ends in _TURNS:
-        for stem, members in _families(columns, ends):
-            if len(members) != len(ends) or _among(stem, _ASKED) or stem in _OF_TIME:
-                continue
-            turning = len(ends) == 3 and _says(stem, _WORDS["rate"])
-            yield "rate" if turning else "attitude", [members[i] for i in range(len(ends))]
+    """(group, names) of a quaternion with its scalar first, of angles, whose order and signs no
+    name tells, or of the turning of angles' names."""
+    quaternion, *angles = _TURNS
+    yield from _turns(columns, quaternion)
     for stem, members in _families(columns, {str(i): i for i in range(4)}):
         if len(members) == 4 and not _wanted(stem) and _says(stem, _QUATERNION):
             yield "attitude", _scalar_first([members[i] for i in range(4)], columns)
+    for ends in angles:
+        yield from _turns(columns, ends)
+
+
+def _turns(
+    columns: Mapping[str, FloatArray], ends: Mapping[str, int]
+) -> Iterator[tuple[str, list[str]]]:
+    """The same of names that end like this."""
+    for stem, members in _families(columns, ends):
+        if len(members) != len(ends) or _among(stem, _ASKED) or stem in _OF_TIME:
+            continue
+        turning = len(ends) == 3 and _says(stem, _WORDS["rate"])
+        yield "rate" if turning else "attitude", [members[i] for i in range(len(ends))]
 
 
 def _scalar_first(names: list[str], columns: Mapping[str, FloatArray]) -> list[str]:

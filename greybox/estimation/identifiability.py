@@ -19,8 +19,11 @@ from greybox.statistics.regret import information_on
 from greybox.symbolic import FloatArray
 
 WEAK = 1e-7
-"""Scaled eigenvalue below which a direction counts as not identified (a correlation of 1 -
-5e-8)."""
+"""Scaled eigenvalue below which a direction may be not identified (a correlation of 1 - 5e-8): it
+is where data do not feel all of a parameter change along it. Two that cancel may be known to a
+millionth each, and to a hundredth together."""
+ROUNDED = 1e-10
+"""Scaled eigenvalue that rounding leaves of none: what is felt by it is no news."""
 SHARE = 0.1
 """Smallest share of a direction that is worth naming."""
 
@@ -85,7 +88,10 @@ def unidentified(
             break
         step = v / size  # change of the parameters along the direction
         relative = step / changed[seen]
-        if not np.abs(relative).max() > 0:
+        largest = np.abs(relative).max()
+        if not largest > 0:
+            continue
+        if value > ROUNDED * eigenvalues[-1] and np.sqrt(value) > FELT * largest:
             continue
         weights = relative / relative[np.argmax(np.abs(relative))]
         part = [j for j in np.argsort(-np.abs(weights)) if abs(weights[j]) >= SHARE]

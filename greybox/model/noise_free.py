@@ -23,8 +23,12 @@ BEST = 0.1
 """Noise of the best sensor of a kind over what is typical: motion capture of 0.1 mm, a gyro of
 0.1 deg/s."""
 NONE = 0.005
-"""Share of what is typical below which a channel has no noise: a simulator's have 0.003 and less at
-100 Hz, a gyro behind a low-pass at a tenth of the rate 0.011, an estimator's velocity 0.015."""
+"""Share of what is typical below which a channel has no noise: a simulator's have 0.0001 and less
+at 100 Hz, a gyro behind a low-pass at a tenth of the rate 0.011, an estimator's velocity 0.015."""
+DIFFERENCES = 2
+"""Differences before the spectrum is taken: a craft that flies metres leaks through any window, by
+a millionth of its way, and slow motion hardly shows in differences (prewhitening: Percival and
+Walden 1993, sec. 6.5)."""
 WINDOW = 256
 """Samples of a window of the spectrum."""
 TINY = 1e-300
@@ -113,13 +117,15 @@ def _level(column: FloatArray) -> float:
     (Kolmogorov's formula), and a filter's stop band has some. NaN of a record that is too short."""
     from scipy.signal import welch
 
-    x = column[np.isfinite(column)]
+    x = np.diff(column[np.isfinite(column)], DIFFERENCES)
     n = min(WINDOW, x.size)
     if n < WINDOW // 4:
         return float("nan")
-    _, power = welch(x, window=np.hanning(n), noverlap=n // 2, detrend="linear")
-    upper = power[power.size // 2 : -1] / 2  # of both sides
-    return float(np.exp(0.5 * np.log(upper + TINY).mean()))
+    cycles, power = welch(x, window=np.hanning(n), noverlap=n // 2, detrend="linear")
+    upper = slice(power.size // 2, -1)
+    of_differences = (2.0 * np.sin(np.pi * cycles[upper])) ** (2 * DIFFERENCES)
+    both_sides = power[upper] / 2 / of_differences
+    return float(np.exp(0.5 * np.log(both_sides + TINY).mean()))
 
 
 def _noisy(flight: Flight, sensors: Sequence[Sensor], vehicle: Vehicle) -> Flight:

@@ -147,6 +147,12 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
         (["X_mm", "Y_mm", "Z_mm"], [[30, 20, 100]], ("position", "mm", None)),
         (["x_ref", "y_ref", "z_ref"], [[3, 2, 1]], ("setpoint", "m", None)),
         (["u", "v", "w"], [[3, 2, 1]], ("velocity", "m/s", None)),
+        (["xdot", "ydot", "zdot"], [[3, 2, 1]], ("velocity", "m/s", None)),
+        (["pos_x_dot", "pos_y_dot", "pos_z_dot"], [[3, 2, 1]], ("velocity", "m/s", None)),
+        (["w0", "w1", "w2", "w3"], [[230, 240, 220, 235]], ("rotor_speed", "rad/s", None)),
+        ([f"w_cmd{i}" for i in (1, 2, 3, 4)], [[230, 240, 220, 235]], ("command", "", None)),
+        (["w0", "w1", "w2"], [[0.1, 0.2, 0.3]], ("rate", "rad/s", None)),
+        ([f"control_{i}" for i in (1, 2, 3, 4)], [[0.2, 0.4, 0.9, 0.5]], ("command", "", None)),
         (
             [f"motor{i}_pwm" for i in (1, 2, 3, 4)],
             [[1200, 1000, 1900, 1500]],
@@ -241,6 +247,15 @@ def test_a_numbered_quaternion_begins_with_the_component_of_a_level_craft(scalar
     (guess,) = guess_columns({f"q[{i}]": level[part] for i, part in enumerate(order)})
     assert guess.group == "attitude"
     assert [order[int(name[2])] for name in guess.fields] == list("wxyz")
+
+
+@pytest.mark.parametrize("four", [("q0", "q1", "q2", "q3"), ("qw", "qx", "qy", "qz")])
+def test_a_quaternion_is_taken_before_angles(four: tuple[str, ...]) -> None:
+    """Simulators call yaw psi, or roll; a quaternion is the same everywhere."""
+    angles = {n: np.zeros(50) for n in ("psi", "theta", "phi")}
+    level = dict(zip(four, (np.ones(50), *(np.zeros(50) for _ in range(3))), strict=True))
+    (guess,) = guess_columns({**angles, **level})
+    assert (guess.group, guess.fields) == ("attitude", four)
 
 
 def test_velocities_u_v_w_are_those_of_the_body_in_the_frame_of_the_imu() -> None:

@@ -37,6 +37,27 @@ def turned(raw: RawLog, degrees: float) -> RawLog:
     return with_channels(raw, x=c * x - s * y, y=s * x + c * y)
 
 
+def in_thick_air(late: float = 0.0, dt: float = 0.01) -> RawLog:
+    """Twelve seconds of wide curves in air that takes .08 of the speed squared, exact but for a
+    velocity that is `late` [s]: as a simulator logs them, without an accelerometer."""
+    t = np.arange(0.0, 12.0, dt)
+    roll, pitch = 0.4 * np.sin(0.9 * t), 0.35 * np.sin(0.8 * t + 1.0)
+    half = [np.cos(roll / 2), np.sin(roll / 2), np.cos(pitch / 2), np.sin(pitch / 2)]
+    q = (half[2] * half[0], half[2] * half[1], half[3] * half[0], -half[3] * half[1])
+    thrust = 10.0 + 0.8 * np.sin(1.7 * t)
+    up = np.cos(roll)
+    push = np.column_stack([np.sin(pitch) * up, -np.sin(roll), np.cos(pitch) * up])
+    force = thrust[:, None] * push - [0.0, 0.0, 9.80665]
+    force[:, 2] -= force[:, 2].mean()
+    v = np.zeros((t.size, 3))
+    for k in range(t.size - 1):
+        v[k + 1] = v[k] + dt * (force[k] - 0.08 * np.linalg.norm(v[k]) * v[k])
+    seen = np.column_stack([np.interp(t - late, t, one) for one in v.T])
+    columns = {**dict(zip(("qw", "qx", "qy", "qz"), q)), **dict(zip(("vx", "vy", "vz"), seen.T))}
+    columns |= {f"u{i}": np.sqrt(thrust / 20.0) for i in (1, 2, 3, 4)}
+    return replace(real(SET, CUTS[0][0]), t=t, rows=np.arange(t.size), channels=columns, extra={})
+
+
 def found(raw: RawLog) -> CheckReport:
     return check([raw], vehicle(SET))
 
@@ -56,3 +77,12 @@ def test_so_is_a_smaller_turn_where_the_craft_turns_both_ways(degrees: float) ->
     (fault,) = found(turned(cut("B3_figure8_fast_rep1", 8.0, 8.0), degrees)).of("acceleration")
     assert fault.severity == "blocking"
     assert fault.evidence["angle_deg"] == pytest.approx(20.0, abs=6.0)
+
+
+def test_drag_is_no_delay_of_the_velocity() -> None:
+    assert not found(in_thick_air()).of("acceleration")
+
+
+def test_a_delay_is_found_beside_drag() -> None:
+    (fault,) = found(in_thick_air(late=0.25)).of("acceleration")
+    assert fault.evidence["delay_s"] == pytest.approx(0.25, abs=0.06)

@@ -46,3 +46,15 @@ def test_what_is_not_told_from_nothing_shares_no_factor() -> None:
         assert "not separately: the change" in found.text and "factor" not in found.text
     (found,) = unidentified(1e6 * slope.T @ slope, names, (0.05, 0.05), (0.1, 0.1))
     assert "only as a ratio" in found.text
+
+
+@pytest.mark.parametrize(("together", "unseen"), [(0.05, False), (2.0, True)])
+def test_two_that_nearly_cancel_are_told_where_all_of_them_is_felt(
+    together: float, unseen: bool
+) -> None:
+    """A drag above the centre of mass and a flapping that takes its moment away: each alone would
+    turn the craft by far more than is seen, both together move it."""
+    names, values = ("rotor_drag.k_x", "blade_flapping.k_flap"), (0.12, -0.006)
+    slope = np.array([[1e6 / 0.12, 1e6 / 0.006], [1.0 / (together * 0.12), 0.0]])
+    found = unidentified(slope.T @ slope, names, values, (0.1, 0.1))
+    assert bool(found) == unseen

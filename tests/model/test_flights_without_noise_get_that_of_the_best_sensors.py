@@ -99,6 +99,27 @@ def test_a_sensor_with_a_fiftieth_of_what_is_typical_has_noise() -> None:
     assert "gyro" not in sensors
 
 
+@pytest.mark.parametrize("metres", [5.0, 100.0])
+def test_a_flight_of_many_metres_has_no_noise(metres: float) -> None:
+    """What a window lets through of a long way is a millionth of it, and no noise."""
+    flight = smooth(12.0)
+    segment = flight.segments[0]
+    far = {n: metres * np.sin(2.1 * segment.t + i) for i, n in enumerate("xyz")}
+    _, sensors = added_to(Flight(name="one", segments=(segment.replace(far),)), vehicle())
+    assert sensors == ["position", "velocity", "attitude", "gyro", "accelerometer"]
+
+
+def test_far_flights_keep_the_noise_that_they_have() -> None:
+    flight, random = smooth(12.0), np.random.default_rng(4)
+    segment = flight.segments[0]
+    far = {
+        n: 100.0 * np.sin(2.1 * segment.t + i) + 2e-5 * random.standard_normal(segment.n)
+        for i, n in enumerate("xyz")
+    }
+    _, sensors = added_to(Flight(name="one", segments=(segment.replace(far),)), vehicle())
+    assert "position" not in sensors and "velocity" in sensors
+
+
 @pytest.mark.parametrize(("cut", "rate"), [(10, 100), (20, 200), (30, 250)])
 def test_a_gyro_behind_a_low_pass_has_noise(cut: float, rate: float) -> None:
     flight, random = smooth(20.0, 1 / rate), np.random.default_rng(3)

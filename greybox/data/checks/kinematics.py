@@ -95,8 +95,9 @@ class Relation:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Related:
     """One relation in one flight (or in several): sums of every reading and of the given one
-    without a delay, and the size of the motion. `apart` and `witness` try those of `Streams`; None
-    where there are none."""
+    without a delay, and the size of the motion. `apart` and `witness` try those of `Streams`, and
+    `late_apart` the first of `apart` at its delay and without one, where sizes mean nothing;
+    None where there are none."""
 
     streams: Streams
     tried: tuple[Tried, ...]
@@ -105,6 +106,7 @@ class Related:
     sample: float
     apart: Callable[[], tuple[Tried, ...]] | None = None
     witness: Callable[[], tuple[Tried, ...]] | None = None
+    late_apart: Callable[[], tuple[Moments, Moments | None] | None] | None = None
 
     @property
     def given(self) -> Moments:
@@ -147,7 +149,16 @@ def _of_streams(relation: Relation, view: View, streams: Streams) -> Related | s
         sample=view.dt,
         apart=None if other is None else lambda: _tried(other(), view.dt, spans),
         witness=None if witness is None else lambda: _tried(witness(), view.dt, spans),
+        late_apart=None
+        if other is None or streams.scaled  # an accelerometer feels drag
+        else lambda: _lagged(other()[0], view.dt, spans),
     )
+
+
+def _lagged(reading: Reading, dt: float, spans: Spans) -> tuple[Moments, Moments | None] | None:
+    """The sums of a reading at its delay, and without one; None where it has too few spans."""
+    found = searched(reading, spans, dt)
+    return found and (found[0], moments(reading, spans, dt, np.array([0]), found[1]))
 
 
 def _too_few(view: View, first: Reading, spans: Spans) -> str:
@@ -478,11 +489,15 @@ def _of_size(
 
 
 def _late(relation: Relation, flight: str, found: Related) -> Iterator[Finding]:
-    """A finding where the streams agree far better with a delay."""
-    late = found.given.lag
-    if found.prompt is None or abs(late) < max(LATE, 2.0 * found.sample):
+    """A finding where the streams agree far better with a delay; what a craft may have besides is
+    set aside: drag follows the motion, too."""
+    delayed = (found.given, found.prompt) if found.late_apart is None else found.late_apart()
+    if delayed is None or delayed[1] is None:
         return
-    shares = far_better(found.given, found.prompt)
+    late = delayed[0].lag
+    if abs(late) < max(LATE, 2.0 * found.sample):
+        return
+    shares = far_better(delayed[0], delayed[1])
     if shares is None:
         return
     first, _, second = relation.streams.partition(" and ")
