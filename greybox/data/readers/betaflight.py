@@ -3,7 +3,7 @@
 The flight controller's axes are forward, left, up, with the yaw rate counter-clockwise. Fields:
 time [us], gyroADC and gyroUnfilt [deg/s] (header gyro_scale: rad/us or deg/s per count in old logs;
 with blackbox_high_resolution tenths of it), accSmooth [1 g = header acc_1G], imuQuaternion [1/32767:
-x, y, z; w >= 0] (since 2025.12), motor[i] (header motorOutput: range), eRPM[i] [100 electrical rpm;
+x, y, z; w >= 0] (since 2025.12), motor[i] (DShot value or us), eRPM[i] [100 electrical rpm;
 header motor_poles], vbatLatest [0.01 V since Betaflight 4.0]. Motors are numbered as on the flight
 controller: 1 rear right, 2 front right, 3 rear left, 4 front left on a quad X.
 
@@ -151,8 +151,14 @@ def _longest(box: ModuleType, where: str, count: int) -> tuple[_Frames, _Parser,
     return best
 
 
+PULSE = (1000.0, 2000.0)
+"""Pulses of no and of full throttle [us]."""
+DSHOT = (48.0, 2047.0)
+"""DShot values of no and of full throttle: those below are commands to the ESC."""
 WRAP = 2.0**32
 """Microseconds after which `time` begins anew."""
+FEATURE_3D = 1 << 12
+"""Bit of the header `features`."""
 HIGH_RESOLUTION = 10.0
 """Times finer gyro, stick and rate setpoint fields with blackbox_high_resolution = ON (since
 Betaflight 4.3)."""
@@ -240,7 +246,9 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
     motors = tuple(f"motor[{i}]" for i in range(8) if f"motor[{i}]" in fields)
     limits = _limits(headers)
     if motors and limits:
-        yield Source(group="command", stream="main", fields=motors, limits=limits)
+        yield Source(
+            group="command", stream="main", fields=motors, limits=limits, note=_idle(headers)
+        )
     for prefix, note in (("gyroADC", "low-pass filtered by the firmware"), ("gyroUnfilt", "")):
         names = tuple(f"{prefix}[{i}]" for i in range(3))
         yield Source(
@@ -289,10 +297,12 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
 
 def _warned(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[str]:
     if "motor[0]" in fields and not _limits(headers):
-        yield (
-            "the range of the motor outputs is not in the header; give [command] limits in a "
-            "mapping file"
+        why = (
+            "rotors may turn backwards (feature 3D)"
+            if _reversible(headers)
+            else "the range of the motor outputs is not in the header"
         )
+        yield f"{why}; give [command] limits in a mapping file"
     if "debug[0]" in fields and any(str(key).startswith("chirp_") for key in headers):
         yield (
             "where debug_mode is CHIRP, debug[0] is 5000 times the phase of the chirp [rad], 0 "
@@ -328,7 +338,22 @@ def _chirp(fields: Mapping[str, FloatArray], headers: Headers) -> FloatArray | N
 
 
 def _limits(headers: Headers) -> tuple[float, float] | None:
-    """Range of the motor outputs: motorOutput (low, high), else minthrottle and maxthrottle."""
+    """What no and full throttle are to an ESC, None where the header does not tell.
+
+    The lower end of motorOutput is the idle, at which rotors turn already, and the upper one falls
+    with motor_output_limit: of data sheets and in mixing, speed grows from no throttle. DShot has
+    fixed ends (src/main/drivers/dshot.h), pulses go from 1000 us to maxthrottle.
+    """
+    ends = _outputs(headers)
+    if ends is None or _reversible(headers):
+        return None
+    if ends[0] < PULSE[0]:
+        return DSHOT
+    return PULSE[0], max(_number(headers.get("maxthrottle")) or PULSE[1], ends[1])
+
+
+def _outputs(headers: Headers) -> tuple[float, float] | None:
+    """Motor output at idle and the largest: motorOutput, else minthrottle and maxthrottle."""
     both = headers.get("motorOutput")
     pair = (
         both
@@ -337,6 +362,19 @@ def _limits(headers: Headers) -> tuple[float, float] | None:
     )
     low, high = _number(pair[0]), _number(pair[1])
     return (low, high) if low is not None and high is not None and high > low else None
+
+
+def _idle(headers: Headers) -> str:
+    """The command at which armed rotors idle, in words."""
+    ends, limits = _outputs(headers), _limits(headers)
+    if ends is None or limits is None:
+        return ""
+    return f"idle {(ends[0] - limits[0]) / (limits[1] - limits[0]):.3f}"
+
+
+def _reversible(headers: Headers) -> bool:
+    """Whether rotors may turn backwards (feature 3D), from the middle of the range down."""
+    return bool(int(_number(headers.get("features")) or 0) & FEATURE_3D)
 
 
 def _with_w(logged: FloatArray) -> FloatArray:

@@ -193,7 +193,10 @@ def test_the_library_of_others_reads_the_same_numbers(tmp_path: Path) -> None:
         ({"gyro_scale": "0x3d79c190"}, {"p": 0.0609756, "u1": 1.0}),
         ({"blackbox_high_resolution": "0"}, {"p": 1.0, "u1": 1.0}),
         ({"blackbox_high_resolution": "1"}, {"p": 0.1, "u1": 1.0}),
-        ({"motorOutput": "100,1100", "minthrottle": "1000"}, {"p": 1.0, "u1": 1999 / 1000}),
+        ({"motorOutput": "158,2047"}, {"p": 1.0, "u1": 1.0}),
+        ({"motorOutput": "158,1647", "motor_output_limit": "80"}, {"p": 1.0, "u1": 1.0}),
+        ({"motorOutput": "1055,2000", "maxthrottle": "2000"}, {"p": 1.0, "u1": 1999 / 1000}),
+        ({"motorOutput": "1070,1684", "maxthrottle": "1850"}, {"p": 1.0, "u1": 1999 / 850}),
     ],
 )
 def test_headers_say_what_the_counts_are(
@@ -205,6 +208,14 @@ def test_headers_say_what_the_counts_are(
     measured, known = raw.channels["p"], np.deg2rad(np.rint(np.rad2deg(c["p"])))
     np.testing.assert_allclose(measured, known * expected["p"], atol=1e-6)
     assert np.ptp(raw.channels["u1"]) == pytest.approx(np.ptp(c["u1"]) * expected["u1"], abs=2e-3)
+
+
+def test_rotors_that_may_turn_backwards_ask_for_their_range(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    path = w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=N), headers={"features": "4096"})
+    raw = read_table(path)
+    assert "u1" not in raw.channels
+    assert any("turn backwards (feature 3D); give [command] limits" in n for n in raw.notes)
 
 
 def test_the_clock_goes_on_where_its_counter_begins_anew(tmp_path: Path) -> None:
