@@ -309,6 +309,28 @@ def test_of_several_flights_in_a_file_the_longest_is_read(tmp_path: Path) -> Non
     assert any("flight 2 of the 3" in n for n in raw.notes)
 
 
+# ArduPilot ----------------------------------------------------------------------------------------------------------
+
+
+def test_samples_that_are_written_together_keep_the_time_of_each(tmp_path: Path) -> None:
+    """A FIFO is read eight samples at a time; TimeUS is when they were written."""
+    sampled = 1_000_000 + 500 * np.arange(N)
+    written = sampled[7::8].repeat(8)[:N] + 40
+    kept = sampled[: written.size]
+    turning = np.sin(2e-5 * (kept - kept[0]))
+    rows = [
+        (int(t), 0, int(s), float(v), -float(v), 0.5)
+        for t, s, v in zip(written, kept, turning, strict=True)
+    ]
+    path = tmp_path / "a.bin"
+    path.write_bytes(
+        w.dataflash_bytes([("GYR", "QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ", rows)])
+    )
+    raw = read_table(path)
+    np.testing.assert_allclose(np.diff(raw.t), 5e-4, atol=1e-9)
+    np.testing.assert_allclose(raw.channels["p"], turning, atol=1e-6)
+
+
 # Crazyflie ----------------------------------------------------------------------------------------------------------
 
 
