@@ -41,6 +41,8 @@ much."""
 APART = 40.0
 """Times the usual distance from the neighbours, in the flight and around the sample, from which it
 stands apart; sound samples of real flights come to 34, white noise to 7."""
+ROUNDING = 0.25
+"""Median distance of a rounded value from the line between its neighbours, in steps (0.29)."""
 AROUND = (2, 3, 4, 5)
 """Samples before and after whose distances are those around: the fourth largest of eight, so that
 another lone sample among them hides none. A sine of any frequency stays below three times that."""
@@ -201,6 +203,18 @@ def _lone(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
     return size
 
 
+def _rounding(block: FloatArray) -> FloatArray:
+    """Usual distance (d,) from the line between their neighbours of values (n, d) that are right
+    but for rounding: a sensor in coarse steps stands still between two, and then one step is no
+    motion. The step is the smallest between values that come more than once, as a lone one may
+    not."""
+    steps = np.zeros(block.shape[1])
+    for j, values in enumerate(block.T):
+        levels, count = np.unique(values, return_counts=True)
+        steps[j] = np.min(np.diff(levels[count > 1]), initial=np.inf)
+    return np.where(np.isfinite(steps), ROUNDING * steps, 0.0)
+
+
 def _apart(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
     """How far a component of a sample stands apart from the line between both neighbours, which go
     on as those beyond them, (n,); 0 where that is possible."""
@@ -214,7 +228,10 @@ def _apart(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
     limit[1:-1] = possible(np.maximum(np.maximum(gap[:-1], gap[1:]), float(np.median(gap))))
     # What is costly is asked of the few samples that the craft and the usual noise do not explain.
     above = apart > limit[:, None]
-    above &= apart > APART * (np.median(apart[1:-1], axis=0) if above.any() else 0.0)
+    rounding = _rounding(block) if above.any() else np.zeros(block.shape[1])
+    above &= apart > APART * np.maximum(
+        np.median(apart[1:-1], axis=0) if above.any() else 0.0, rounding
+    )
     rows = np.flatnonzero(above.any(axis=1))
     if not rows.size:
         return out
@@ -229,7 +246,7 @@ def _apart(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
     # A sound sample between two spikes lies where those beyond them do.
     lone = (
         above[rows]
-        & (far > APART * around)
+        & (far > APART * np.maximum(around, rounding))
         & (step < 0.5 * far)
         & (_off_line(t, block, 2)[rows] > 0.25 * far)
     )

@@ -25,7 +25,7 @@ import numpy as np
 
 from greybox.data.inspection import inspect_log
 from greybox.data.raw import FloatArray, RawLog
-from greybox.data.readers.px4 import signal_of_thrust
+from greybox.data.readers.px4 import idle_of, motor_signal
 from greybox.data.readers.recording import Recording
 from greybox.errors import DataError
 from greybox.files import Parsed
@@ -251,7 +251,8 @@ def _hover(raw: RawLog | None, recording: Recording, known: list[str]) -> float 
     told = recording.parameters.get("MPC_THR_HOVER", 0.0)
     if 0 < told < 1:
         factor = recording.parameters.get("THR_MDL_FAC", 0.0)
-        signal = float(signal_of_thrust(factor)(np.array([told]))[0]) if 0 < factor <= 1 else told
+        convert = motor_signal(factor if 0 < factor <= 1 else 0.0, idle_of(recording.parameters))
+        signal = float(convert(np.array([told]))[0]) if convert else told
         known.append(
             f"hover command {signal:.2f}: MPC_THR_HOVER = {told:g}, THR_MDL_FAC = {factor:g}"
         )

@@ -257,6 +257,18 @@ def test_saturated_commands_and_clipped_gyro():
     assert max(shares) > 0.1
 
 
+def test_a_peak_in_the_largest_of_few_steps_is_no_clipping():
+    """A quiet axis of a coarse sensor, sampled often: it stays in the largest step for a while."""
+    raw = real(*IMU)
+    slow = np.sin(3.0 * raw.t) + 0.7 * np.sin(4.7 * raw.t)
+    for steps in (4.4, 9.9, 19.2):
+        coarse = with_channels(raw, ax=np.rint(steps * slow / slow.max()) / steps)
+        top = coarse.channels["ax"] == coarse.channels["ax"].max()
+        assert top.sum() >= 5
+        found = check([coarse], vehicle(IMU[0])).of("saturation")
+        assert not any("clips" in f.message for f in found), steps
+
+
 def test_a_still_axis_is_named():
     raw = real(*IMU)
     still = with_channels(raw, r=raw.channels["r"] * 0.01)

@@ -185,6 +185,24 @@ def test_what_the_rotors_can_do_is_taken_at_full_command(log):
             assert len(without_impossible(with_channel(still, vx=moved), craft).removed) == count
 
 
+def test_a_gyro_in_coarse_steps_that_flickers_between_two_of_them_is_sound(log):
+    """Betaflight logs whole degrees per second: in a calm stretch nothing moves but one step."""
+    step, n = np.deg2rad(1.0), 4000
+    rng = np.random.default_rng(0)
+    t = 5e-4 * np.arange(n)
+    smooth = 2.0 * np.sin(2 * np.pi * t) * (t > 1.0)
+    rates = {k: step * np.rint((smooth + 0.2 * step * rng.normal(size=n)) / step) for k in "pqr"}
+    rows = {k: np.zeros(n) for k in log.channels if k not in "pqr"} | rates
+    calm = replace(log, t=t, rows=np.arange(1, n + 1), channels=rows)
+    calm = replace(calm, channels={k: calm.channels[k] for k in "pqr"})
+    assert np.median(np.abs(np.diff(rates["p"], 2))) == 0.0 < np.ptp(rates["p"][:2000])
+    assert without_impossible(calm, vehicle()).removed == ()
+    struck = rates["p"].copy()
+    struck[700] += 90 * step
+    (removed,) = without_impossible(with_channel(calm, p=struck), vehicle()).removed
+    assert (removed.count, removed.first_time) == (1, t[700])
+
+
 def test_what_was_taken_is_among_the_decisions_and_can_be_kept(log):
     speeds = log.channels["omega2"].copy()
     speeds[100] = 33_000.0

@@ -8,13 +8,16 @@ import numpy as np
 
 from greybox.data.channel import group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
-from greybox.data.checks.view import View
+from greybox.data.checks.view import FloatArray, View
 
 SHARE = 0.01
 CLIPPED_ROWS = 5
 BELOW = 0.05
 """A sensor that clips shows its largest value more often than all others within this share of the
 way from it to the median: motion passes."""
+STEPS = 3
+"""Those of at least so many steps of a coarse sensor: the top of a parabola stays in its topmost
+step for as long as in the next three."""
 SENSORS = ("rate", "specific_force")
 
 
@@ -54,7 +57,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             for size in (values, -values):
                 top = float(np.nanmax(size, initial=0.0))
                 clipped = int((size == top).sum())
-                near = int(((size < top) & (size > top - BELOW * (top - np.nanmedian(size)))).sum())
+                near = _next(size, top)
                 if top > 0.0 and clipped >= CLIPPED_ROWS and clipped > near:
                     yield Finding(
                         check="saturation",
@@ -67,6 +70,13 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                         fix="set a larger sensor range, or leave these cells empty",
                     )
                     break
+
+
+def _next(size: FloatArray, top: float) -> int:
+    """Number of values next below the largest one, `top`."""
+    below = size[size < top]
+    edge = top - BELOW * (top - np.nanmedian(size))
+    return int((below >= np.min(np.unique(below)[-STEPS:], initial=edge)).sum())
 
 
 CHECK = Check(

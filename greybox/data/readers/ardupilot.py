@@ -3,7 +3,9 @@
 Layout (ArduPilot, libraries/AP_Logger), little endian: every message is 0xA3, 0x95, a type byte,
 and a body whose length and fields a message of type 0x80 (FMT: type, length of the whole, name, a
 letter per field, names of fields) gave before. Units and axes are those of the published list of
-messages: body axes forward, right, down; world axes north, east, down.
+messages: body axes forward, right, down; world axes north, east, down. SampleUS (of GYR and ACC)
+is when a sample was taken, TimeUS when it was written (libraries/AP_InertialSensor/
+AP_InertialSensor_Logging.cpp): samples of one read of a FIFO are written together.
 
 The reader is our own: the library that others use (pymavlink) parses in C what a file declares,
 prints what it skips, and makes one Python object a message. The tests hold one against the other.
@@ -188,7 +190,7 @@ def _streams(kind: _Kind, table: npt.NDArray[np.void]) -> Iterator[Stream]:
     """A stream per sensor of a kind of message that has a time."""
     names = kind.layout.names or ()
     scales = dict(zip(names, (_LETTERS[c][1] for c in kind.letters), strict=True))
-    clock = next((n for n in ("TimeUS", "TimeMS") if scales.get(n)), None)
+    clock = next((n for n in ("SampleUS", "TimeUS", "TimeMS") if scales.get(n)), None)
     if clock is None:
         return
     which = next((n for n in _INSTANCE if n in names and table[n].dtype.kind in "iu"), None)
@@ -198,14 +200,14 @@ def _streams(kind: _Kind, table: npt.NDArray[np.void]) -> Iterator[Stream]:
     for label, part in parts.items():
         yield Stream(
             name=kind.name + label,
-            t=part[clock].astype(np.float64) * (1e-6 if clock == "TimeUS" else 1e-3),
+            t=part[clock].astype(np.float64) * (1e-3 if clock == "TimeMS" else 1e-6),
             fields={
                 n: part[n].astype(np.float64) * s
                 for n, s in scales.items()
                 if s and n not in (clock, which)
             },
             kind=kind.name,
-            clock="microseconds since boot" if clock == "TimeUS" else "milliseconds since boot",
+            clock="milliseconds since boot" if clock == "TimeMS" else "microseconds since boot",
             unread=tuple(n for n, s in scales.items() if not s),
         )
 

@@ -162,7 +162,7 @@ def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tupl
     """
     gone: set[str] = set()
     notes: list[str] = []
-    sources = dict(mapping.sources)
+    sources = {g: _of_the_only_stream(recording, s) for g, s in mapping.sources.items()}
     for group in sorted(mapping.optional & mapping.groups, key=GROUPS.index):
         source = sources.get(group)
         name = source.stream if source is not None else mapping.preferred.get(group)
@@ -172,6 +172,11 @@ def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tupl
                 gone.add(group)
             if name not in (None, TABLE):
                 notes.append(f"the log has no stream {name} for the {group}")
+            elif source is not None and (meant := _with_fields(recording, source)):
+                notes.append(
+                    f"the columns of the {group} are not used: they name no stream; say "
+                    f'stream = "{meant}"'
+                )
         elif source is not None:
             there = [
                 f if f.lstrip("-") in {*stream.fields, *stream.unread} else ""
@@ -207,6 +212,19 @@ def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tupl
         clock=clock,
     )
     return kept, tuple(notes)
+
+
+def _of_the_only_stream(recording: Recording, source: Source) -> Source:
+    """A source that names no stream is one of the only stream of a log."""
+    streams = list(recording.streams)
+    only = source.stream == TABLE and len(streams) == 1
+    return replace(source, stream=streams[0]) if only else source
+
+
+def _with_fields(recording: Recording, source: Source) -> str:
+    """The first stream that has all fields of a source; empty where none has."""
+    wanted = {f.lstrip("-") for f in source.fields if f}
+    return next((n for n, s in recording.streams.items() if wanted <= s.fields.keys()), "")
 
 
 def _demanded(recording: Recording, source: Source, where: str, *, empty: bool = False) -> Source:
@@ -394,7 +412,8 @@ def describe(source: Source, stream: Stream) -> str:
     """One line: which channels come from where, in which unit and frame, and how often."""
     names = group_names(source.group, len(source.fields))
     shown = f"{names[0]}..{names[-1]}" if len(names) > 3 else ", ".join(names)
-    fields = ", ".join(source.fields[:4]) + (", ..." if len(source.fields) > 4 else "")
+    there = [f for f in source.fields if f]
+    fields = ", ".join(there[:4]) + (", ..." if len(there) > 4 else "")
     how = [] if stream.name == TABLE else [f"{stream.rate:.4g} Hz"]
     how += [source.unit] if source.unit not in ("", "1") else []
     how += [source.frame] if source.frame else []

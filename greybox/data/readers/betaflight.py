@@ -1,10 +1,14 @@
 """Betaflight (and Cleanflight) blackbox files by orangebox.
 
 The flight controller's axes are forward, left, up, with the yaw rate counter-clockwise. Fields:
-time [us], gyroADC [deg/s] (header gyro_scale: rad/us or deg/s per count in old logs), accSmooth [1
-g = header acc_1G], motor[i] (header motorOutput: range), eRPM[i] [100 electrical rpm; header
-motor_poles], vbatLatest [0.01 V since Betaflight 4.0]. Motors are numbered as on the flight
+time [us], gyroADC and gyroUnfilt [deg/s] (header gyro_scale: rad/us or deg/s per count in old logs;
+with blackbox_high_resolution tenths of it), accSmooth [1 g = header acc_1G], imuQuaternion [1/32767:
+x, y, z; w >= 0] (since 2025.12), motor[i] (DShot value or us), eRPM[i] [100 electrical rpm;
+header motor_poles], vbatLatest [0.01 V since Betaflight 4.0]. Motors are numbered as on the flight
 controller: 1 rear right, 2 front right, 3 rear left, 4 front left on a quad X.
+
+All of this is what betaflight/betaflight says in src/main/blackbox/blackbox.c (4.6.0, loadMainState
+and blackboxWriteSysinfo), and what its simulator build logged of flights of known truth.
 """
 
 from __future__ import annotations
@@ -98,7 +102,7 @@ def read_betaflight(path: Path) -> Recording:
         )
     stream = Stream(
         name="main",
-        t=fields["time"] * 1e-6,
+        t=_unwrapped(fields["time"]) * 1e-6,
         fields=fields,
         kind="I and P frames",
         clock="microseconds",
@@ -147,6 +151,19 @@ def _longest(box: ModuleType, where: str, count: int) -> tuple[_Frames, _Parser,
     return best
 
 
+PULSE = (1000.0, 2000.0)
+"""Pulses of no and of full throttle [us]."""
+DSHOT = (48.0, 2047.0)
+"""DShot values of no and of full throttle: those below are commands to the ESC."""
+WRAP = 2.0**32
+"""Microseconds after which `time` begins anew."""
+FEATURE_3D = 1 << 12
+"""Bit of the header `features`."""
+HIGH_RESOLUTION = 10.0
+"""Times finer gyro, stick and rate setpoint fields with blackbox_high_resolution = ON (since
+Betaflight 4.3)."""
+QUATERNION = 32767.0
+"""Counts of imuQuaternion that are 1."""
 PHASE = 5000.0
 """Counts of debug[0] per radian of the chirp's phase."""
 
@@ -188,6 +205,13 @@ def _numbers(rows: list[Row], width: int) -> FloatArray:
     return table
 
 
+def _unwrapped(time: FloatArray) -> FloatArray:
+    """Microseconds (N,) that go on where the firmware's counter of 32 bits begins anew, 71.6 min
+    after boot."""
+    counted = time % WRAP
+    return counted + WRAP * np.cumsum(np.diff(counted, prepend=counted[:1]) < -0.5 * WRAP)
+
+
 def _info(headers: Headers) -> dict[str, str]:
     shown = {
         "Firmware revision": "firmware",
@@ -222,7 +246,9 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
     motors = tuple(f"motor[{i}]" for i in range(8) if f"motor[{i}]" in fields)
     limits = _limits(headers)
     if motors and limits:
-        yield Source(group="command", stream="main", fields=motors, limits=limits)
+        yield Source(
+            group="command", stream="main", fields=motors, limits=limits, note=_idle(headers)
+        )
     for prefix, note in (("gyroADC", "low-pass filtered by the firmware"), ("gyroUnfilt", "")):
         names = tuple(f"{prefix}[{i}]" for i in range(3))
         yield Source(
@@ -233,6 +259,15 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
             frame="FLU",
             scale=_gyro_scale(headers),
             note=note,
+        )
+    quaternion = tuple(f"imuQuaternion[{i}]" for i in range(3))
+    if fields.keys() >= set(quaternion):
+        yield Source(
+            group="attitude",
+            stream="main",
+            fields=("", *quaternion),
+            convert=_with_w,
+            note="estimate",
         )
     one_g = _number(headers.get("acc_1G"))
     if one_g:
@@ -262,10 +297,12 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
 
 def _warned(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[str]:
     if "motor[0]" in fields and not _limits(headers):
-        yield (
-            "the range of the motor outputs is not in the header; give [command] limits in a "
-            "mapping file"
+        why = (
+            "rotors may turn backwards (feature 3D)"
+            if _reversible(headers)
+            else "the range of the motor outputs is not in the header"
         )
+        yield f"{why}; give [command] limits in a mapping file"
     if "debug[0]" in fields and any(str(key).startswith("chirp_") for key in headers):
         yield (
             "where debug_mode is CHIRP, debug[0] is 5000 times the phase of the chirp [rad], 0 "
@@ -282,9 +319,9 @@ def _warned(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[str]
 
 
 def _chirp(fields: Mapping[str, FloatArray], headers: Headers) -> FloatArray | None:
-    """Sine of the chirp's phase (N,), 0 while there is none; None where debug[0] is not the phase
-    (the number of debug_mode differs between versions, so that its values tell: a phase below a
-    turn that only goes on)."""
+    """Cosine of the chirp's phase (N,), as src/main/common/chirp.c adds it, 0 while there is none;
+    None where debug[0] is not the phase (the number of debug_mode differs between versions, so that
+    its values tell: a phase below a turn that only goes on)."""
     if "debug[0]" not in fields or not any(str(key).startswith("chirp_") for key in headers):
         return None
     phase = fields["debug[0]"] / PHASE
@@ -297,11 +334,26 @@ def _chirp(fields: Mapping[str, FloatArray], headers: Headers) -> FloatArray | N
         or np.mean(ahead < np.pi) < 0.95
     ):
         return None
-    return np.sin(phase)
+    return np.where(on, np.cos(phase), 0.0)
 
 
 def _limits(headers: Headers) -> tuple[float, float] | None:
-    """Range of the motor outputs: motorOutput (low, high), else minthrottle and maxthrottle."""
+    """What no and full throttle are to an ESC, None where the header does not tell.
+
+    The lower end of motorOutput is the idle, at which rotors turn already, and the upper one falls
+    with motor_output_limit: of data sheets and in mixing, speed grows from no throttle. DShot has
+    fixed ends (src/main/drivers/dshot.h), pulses go from 1000 us to maxthrottle.
+    """
+    ends = _outputs(headers)
+    if ends is None or _reversible(headers):
+        return None
+    if ends[0] < PULSE[0]:
+        return DSHOT
+    return PULSE[0], max(_number(headers.get("maxthrottle")) or PULSE[1], ends[1])
+
+
+def _outputs(headers: Headers) -> tuple[float, float] | None:
+    """Motor output at idle and the largest: motorOutput, else minthrottle and maxthrottle."""
     both = headers.get("motorOutput")
     pair = (
         both
@@ -312,9 +364,36 @@ def _limits(headers: Headers) -> tuple[float, float] | None:
     return (low, high) if low is not None and high is not None and high > low else None
 
 
+def _idle(headers: Headers) -> str:
+    """The command at which armed rotors idle, in words."""
+    ends, limits = _outputs(headers), _limits(headers)
+    if ends is None or limits is None:
+        return ""
+    return f"idle {(ends[0] - limits[0]) / (limits[1] - limits[0]):.3f}"
+
+
+def _reversible(headers: Headers) -> bool:
+    """Whether rotors may turn backwards (feature 3D), from the middle of the range down."""
+    return bool(int(_number(headers.get("features")) or 0) & FEATURE_3D)
+
+
+def _with_w(logged: FloatArray) -> FloatArray:
+    """Quaternions (N, 4) of which x, y, z are logged (columns 1 to 3) [1/32767], and w is not
+    negative."""
+    vector = logged[:, 1:] / QUATERNION
+    w = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
+    return np.column_stack([w, vector])
+
+
 def _gyro_scale(headers: Headers) -> float:
-    """Degrees per second per count. The header holds a float's bits: 1.0 (already deg/s), or rad/us
-    (Cleanflight)."""
+    """Degrees per second per count of the gyro's fields."""
+    fine = _number(headers.get("blackbox_high_resolution"))
+    return _gyro_unit(headers) / (HIGH_RESOLUTION if fine else 1.0)
+
+
+def _gyro_unit(headers: Headers) -> float:
+    """Degrees per second per count of the gyro. The header holds a float's bits: 1.0 (already
+    deg/s), or rad/us (Cleanflight)."""
     raw = headers.get("gyro_scale", headers.get("gyro.scale"))
     if isinstance(raw, list):
         return 1.0
@@ -351,7 +430,8 @@ FORMAT = LogFormat(
         "motor_poles",
         "battery": "set blackbox_disable_bat = OFF with a voltage sensor (battery_meter = ADC or "
         "ESC)",
-        "attitude": "not read from blackbox files; log motion capture or an estimator beside it",
+        "attitude": "set blackbox_disable_attitude = OFF and acc_hardware = AUTO (Betaflight "
+        "2025.12 and later); before that, log motion capture or an estimator beside it",
         "rate": "set blackbox_disable_gyro = OFF; gyroUnfilt needs Betaflight 4.5, before that "
         "debug_mode = GYRO_SCALED",
         "specific_force": "set acc_hardware = AUTO and blackbox_disable_acc = OFF",

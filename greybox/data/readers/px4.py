@@ -3,7 +3,9 @@ PX4.
 
 PX4's body axes are FRD and its world NED. References: uORB messages and parameters at docs.px4.io;
 parameter THR_MDL_FAC for the map from thrust to motor signal; PX4-Autopilot
-src/modules/logger/logged_topics.cpp for what is logged how often.
+src/modules/logger/logged_topics.cpp for what is logged how often, src/lib/mixer_module (outputs go
+from their least value, not from none, to their largest), src/drivers/dshot/DShot.cpp,
+src/modules/simulation/gz_bridge/GZMixingInterfaceESC.cpp (v1.14 to v1.16).
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from greybox.data.readers.recording import Source, Stream
 MOTOR_FUNCTION = 101
 """Output function (PWM_MAIN_FUNCi and the like) of motor 1 in PX4."""
 
+DSHOT = range(-8, -2)
+"""Values of PWM_MAIN_TIMi and the like that are DShot, with -8 to -6 in both directions."""
 VTOL = range(19, 26)
 """MAV_TYPE of craft that also fly on wings (MAVLink): among their outputs stand servos."""
 
@@ -54,6 +58,38 @@ def signal_of_thrust(factor: float) -> Callable[[FloatArray], FloatArray]:
     return convert
 
 
+def idle_of(parameters: Mapping[str, float]) -> float:
+    """Share of the full motor signal that a running motor gets at a command of zero: of Gazebo's
+    speeds, and of DShot. 0 for PWM, of which nobody says what an ESC takes for none."""
+    for i in range(1, 17):
+        if is_motor(parameters.get(f"SIM_GZ_EC_FUNC{i}", 0.0)):
+            low, high = (parameters.get(f"SIM_GZ_EC_{end}{i}", 0.0) for end in ("MIN", "MAX"))
+            return low / high if 0.0 < low < high else 0.0
+    timers = (parameters.get(f"PWM_{b}_TIM{k}", 0.0) for b in ("MAIN", "AUX") for k in range(16))
+    least = parameters.get("DSHOT_MIN", 0.0)
+    return least if any(t in DSHOT for t in timers) and 0.0 < least < 1.0 else 0.0
+
+
+def is_motor(function: float) -> bool:
+    """Whether an output function is that of a motor."""
+    return MOTOR_FUNCTION <= function < MOTOR_FUNCTION + 12
+
+
+def motor_signal(factor: float, idle: float) -> Callable[[FloatArray], FloatArray] | None:
+    """Motor signal of the thrust setpoints (N, K): that of THR_MDL_FAC, which begins at the idle.
+    All motors at zero are stopped. None where it is the setpoint itself."""
+    if not factor and not idle:
+        return None
+    shaped = signal_of_thrust(factor) if factor else np.asarray
+
+    def convert(thrust: FloatArray) -> FloatArray:
+        signal = np.asarray(shaped(thrust))
+        runs = (thrust >= 0.0) & (thrust > 0.0).any(axis=-1, keepdims=True)
+        return np.asarray(np.where(runs, idle + (1.0 - idle) * signal, signal))
+
+    return convert
+
+
 def _stopped(low: FloatArray, high: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Outputs low..high (K,) to 0..1; below `low` (disarmed) is 0."""
     return lambda values: np.asarray(np.maximum((values - low) / (high - low), 0.0))
@@ -79,7 +115,9 @@ def sources_of(
     0.
     """
     yield from _commands(streams, parameters, factor, rotors)
-    yield from _speeds(streams)
+    if not any(is_motor(parameters.get(f"SIM_GZ_EC_FUNC{i}", 0.0)) for i in range(1, 17)):
+        # In Gazebo esc_status repeats what was commanded, in rad/s.
+        yield from _speeds(streams)
     for name, stream in streams.items():
         if stream.kind == "battery_status":
             for key in ("voltage_v", "voltage_filtered_v"):
@@ -225,12 +263,15 @@ def _commands(
             if (key := f"control[{i}]") in motors.fields and np.isfinite(motors.fields[key]).any()
         )
         if used:
+            idle = idle_of(parameters)
+            said = [f"THR_MDL_FAC = {factor:g}"] if factor else []
+            said += [f"idle {idle:.3f}"] if idle else []
             yield Source(
                 group="command",
                 stream="actuator_motors",
                 fields=used[:rotors] if rotors else used,
-                convert=signal_of_thrust(factor) if factor else None,
-                note=f"THR_MDL_FAC = {factor:g}" if factor else "",
+                convert=motor_signal(factor, idle),
+                note=", ".join(said),
             )
     found = []
     for name, stream in streams.items():
@@ -314,7 +355,7 @@ def _motor_outputs(parameters: Mapping[str, float]) -> tuple[str, tuple[int, ...
         places: dict[int, int] = {}
         for i in range(16):
             function = int(parameters.get(f"{bus}_FUNC{i + 1}", 0))
-            if MOTOR_FUNCTION <= function < MOTOR_FUNCTION + 12:
+            if is_motor(function):
                 places.setdefault(function - MOTOR_FUNCTION, i)
         if places and sorted(places) == list(range(len(places))):
             return bus, tuple(places[k] for k in range(len(places)))

@@ -78,7 +78,7 @@ def read_ulog(path: Path) -> Recording:
     if not streams:
         raise DataError("a ULog file without samples", where=where, fix="copy the log again")
     for name in sorted({k for _, k, _ in log.changed_parameters}):
-        if name.startswith(("THR_MDL_FAC", "PWM_", "CA_ROTOR")):
+        if name.startswith(("THR_MDL_FAC", "PWM_", "CA_ROTOR", "DSHOT_MIN", "SIM_GZ_EC")):
             notes.append(f"parameter {name} was changed during the log; its first value is used")
     rotors = rotors_of(parameters)
     factor = parameters.get("THR_MDL_FAC", 0.0)

@@ -250,7 +250,12 @@ def test_the_library_of_others_reads_the_same_numbers(tmp_path: Path) -> None:
     [
         ({}, {"p": 1.0, "u1": 1.0}),
         ({"gyro_scale": "0x3d79c190"}, {"p": 0.0609756, "u1": 1.0}),
-        ({"motorOutput": "100,1100", "minthrottle": "1000"}, {"p": 1.0, "u1": 1999 / 1000}),
+        ({"blackbox_high_resolution": "0"}, {"p": 1.0, "u1": 1.0}),
+        ({"blackbox_high_resolution": "1"}, {"p": 0.1, "u1": 1.0}),
+        ({"motorOutput": "158,2047"}, {"p": 1.0, "u1": 1.0}),
+        ({"motorOutput": "158,1647", "motor_output_limit": "80"}, {"p": 1.0, "u1": 1.0}),
+        ({"motorOutput": "1055,2000", "maxthrottle": "2000"}, {"p": 1.0, "u1": 1999 / 1000}),
+        ({"motorOutput": "1070,1684", "maxthrottle": "1850"}, {"p": 1.0, "u1": 1999 / 850}),
     ],
 )
 def test_headers_say_what_the_counts_are(
@@ -262,6 +267,40 @@ def test_headers_say_what_the_counts_are(
     measured, known = raw.channels["p"], np.deg2rad(np.rint(np.rad2deg(c["p"])))
     np.testing.assert_allclose(measured, known * expected["p"], atol=1e-6)
     assert np.ptp(raw.channels["u1"]) == pytest.approx(np.ptp(c["u1"]) * expected["u1"], abs=2e-3)
+
+
+def test_rotors_that_may_turn_backwards_ask_for_their_range(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    path = w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=N), headers={"features": "4096"})
+    raw = read_table(path)
+    assert "u1" not in raw.channels
+    assert any("turn backwards (feature 3D); give [command] limits" in n for n in raw.notes)
+
+
+def test_the_clock_goes_on_where_its_counter_begins_anew(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    stamps = (2**32 - 50_000 + 1000 * np.arange(N)) % 2**32
+    assert np.any(np.diff(stamps) < 0)
+    signed = np.where(stamps < 2**31, stamps, stamps - 2**32)  # as the writer packs 32 bits
+    fields = {"time": signed, **{f"gyroADC[{i}]": np.arange(N) for i in range(3)}}
+    path = tmp_path / "f.bbl"
+    path.write_bytes(w.blackbox_bytes(fields, {"Firmware revision": "Betaflight 4.5.1 (a) S"}))
+    np.testing.assert_allclose(np.diff(read_table(path).t), 1e-3, atol=1e-9)
+
+
+def test_an_attitude_without_w_is_whole(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    c = w.channels(rows=N)
+    q = np.column_stack([c[k] for k in ("qw", "qx", "qy", "qz")])
+    q[::7] *= -1.0  # the same attitude
+    logged = np.where(q[:, :1] < 0, -q, q)[:, 1:] * 32767
+    fields = {"time": c["t"] * 1e6, **{f"gyroADC[{i}]": np.zeros(N) for i in range(3)}}
+    fields |= {f"imuQuaternion[{i}]": logged[:, i] for i in range(3)}
+    path = tmp_path / "f.bbl"
+    path.write_bytes(w.blackbox_bytes(fields, {"Firmware revision": "Betaflight 4.6.0 (a) S"}))
+    raw = read_table(path)
+    read = np.column_stack([raw.channels[k] for k in ("qw", "qx", "qy", "qz")])
+    assert np.abs(np.sum(read * q, axis=1)).min() > 1.0 - 1e-6
 
 
 def test_rotor_speed_and_an_old_battery_field_need_their_headers(tmp_path: Path) -> None:
@@ -313,7 +352,8 @@ def test_a_chirp_of_the_firmware_becomes_a_column(tmp_path: Path) -> None:
         extra = read_table(tmp_path / "f.bbl").extra
         assert ("chirp" in extra) == there
         if there:
-            np.testing.assert_allclose(extra["chirp"], np.sin(phase), atol=2e-4)
+            known = np.where(phase > 0, np.cos(phase), 0.0)
+            np.testing.assert_allclose(extra["chirp"], known, atol=2e-4)
 
 
 def test_of_several_flights_in_a_file_the_longest_is_read(tmp_path: Path) -> None:
@@ -326,6 +366,28 @@ def test_of_several_flights_in_a_file_the_longest_is_read(tmp_path: Path) -> Non
     raw = read_table(tmp_path / "all.bbl")
     assert raw.n == N
     assert any("flight 2 of the 3" in n for n in raw.notes)
+
+
+# ArduPilot ----------------------------------------------------------------------------------------------------------
+
+
+def test_samples_that_are_written_together_keep_the_time_of_each(tmp_path: Path) -> None:
+    """A FIFO is read eight samples at a time; TimeUS is when they were written."""
+    sampled = 1_000_000 + 500 * np.arange(N)
+    written = sampled[7::8].repeat(8)[:N] + 40
+    kept = sampled[: written.size]
+    turning = np.sin(2e-5 * (kept - kept[0]))
+    rows = [
+        (int(t), 0, int(s), float(v), -float(v), 0.5)
+        for t, s, v in zip(written, kept, turning, strict=True)
+    ]
+    path = tmp_path / "a.bin"
+    path.write_bytes(
+        w.dataflash_bytes([("GYR", "QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ", rows)])
+    )
+    raw = read_table(path)
+    np.testing.assert_allclose(np.diff(raw.t), 5e-4, atol=1e-9)
+    np.testing.assert_allclose(raw.channels["p"], turning, atol=1e-6)
 
 
 # Crazyflie ----------------------------------------------------------------------------------------------------------

@@ -138,25 +138,70 @@ def test_disarmed_outputs_are_zero_and_not_negative(tmp_path: Path) -> None:
     assert (raw.channels["u1"][:50] == 0).all()
 
 
-def test_esc_speeds_follow_the_motor_that_they_drive(tmp_path: Path) -> None:
+GAZEBO = {
+    **{f"SIM_GZ_EC_FUNC{i}": 100 + i for i in (1, 2, 3, 4)},
+    **{f"SIM_GZ_EC_MIN{i}": 150 for i in (1, 2, 3, 4)},
+    **{f"SIM_GZ_EC_MAX{i}": 1000 for i in (1, 2, 3, 4)},
+}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "idle"),
+    [
+        ({"DSHOT_MIN": 0.055}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -1}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -4}, 0.055),
+        ({"DSHOT_MIN": 0.07, "PWM_AUX_TIM1": -3}, 0.07),
+        (GAZEBO, 0.15),
+    ],
+)
+def test_a_running_motor_that_is_commanded_nothing_idles(
+    tmp_path: Path, parameters: dict[str, float], idle: float
+) -> None:
+    """Rotor speed over full speed is the command: of x500 in Gazebo 150 + 850 u of 1000 rad/s."""
+    c = w.channels(rows=N)
+
     def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
-        log.definitions += log._message(
-            "F", b"esc_report:int32_t esc_rpm;uint8_t actuator_function;"
-        )
-        log.definitions += log._message("F", b"esc_status:uint64_t timestamp;esc_report[4] esc;")
-        log.subscriptions += log._message(
-            "A", b"\0" + log.count.to_bytes(2, "little") + b"esc_status"
-        )
-        import struct
+        for name, value in parameters.items():
+            log.parameter(name, value)
 
-        for stamp in stamps.astype(int):
-            body = struct.pack("<HQ", log.count, stamp)
-            for motor in (3, 1, 4, 2):
-                body += struct.pack("<iB", -1000 * motor, 100 + motor)
-            log.data.append((stamp, log._message("D", body)))
-        log.count += 1
+    for i in (1, 2, 3, 4):
+        c[f"u{i}"][:20] = 0.0  # all stopped
+    c["u2"][30] = 0.0  # one at its least, in flight
+    raw = read_table(w.write_ulog(tmp_path / "a.ulg", c, change=change))
+    for i in (1, 2, 3, 4):
+        flown = idle + (1 - idle) * c[f"u{i}"][20:]
+        np.testing.assert_allclose(raw.channels[f"u{i}"][20:], flown, atol=1e-5)
+        assert (raw.channels[f"u{i}"][:20] == 0).all()
 
-    raw = read_table(with_change(tmp_path / "a.ulg", change))
+
+def with_speeds(log: w.ULogWriter, stamps: np.ndarray) -> None:
+    import struct
+
+    log.definitions += log._message("F", b"esc_report:int32_t esc_rpm;uint8_t actuator_function;")
+    log.definitions += log._message("F", b"esc_status:uint64_t timestamp;esc_report[4] esc;")
+    log.subscriptions += log._message("A", b"\0" + log.count.to_bytes(2, "little") + b"esc_status")
+    for stamp in stamps.astype(int):
+        body = struct.pack("<HQ", log.count, stamp)
+        for motor in (3, 1, 4, 2):
+            body += struct.pack("<iB", -1000 * motor, 100 + motor)
+        log.data.append((stamp, log._message("D", body)))
+    log.count += 1
+
+
+def test_what_gazebo_was_commanded_is_no_measured_speed(tmp_path: Path) -> None:
+    """Its bridge publishes the commands [rad/s] as esc_rpm."""
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        with_speeds(log, stamps)
+        for name, value in GAZEBO.items():
+            log.parameter(name, value)
+
+    assert "omega1" not in read_table(with_change(tmp_path / "a.ulg", change)).channels
+
+
+def test_esc_speeds_follow_the_motor_that_they_drive(tmp_path: Path) -> None:
+    raw = read_table(with_change(tmp_path / "a.ulg", with_speeds))
     for i in (1, 2, 3, 4):
         np.testing.assert_allclose(raw.channels[f"omega{i}"], 1000 * i * np.pi / 30, rtol=1e-6)
 

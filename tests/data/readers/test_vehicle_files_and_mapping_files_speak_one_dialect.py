@@ -87,6 +87,26 @@ def test_a_vehicle_file_names_streams_of_bags_and_what_a_log_lacks_is_said(tmp_p
     assert "the log has no stream /vicon for the position" in raw.notes
 
 
+def test_columns_that_name_no_stream_are_of_the_only_one_or_are_asked_for_it(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("orangebox")
+    log = w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=300))
+    said = 'fields = ["motor[3]", "motor[1]", "motor[2]", "motor[0]"]\nlimits = [0, 4094]\n'
+    vehicle = read_vehicle(vehicle_file(tmp_path / "v.toml", f"[columns.command]\n{said}"))
+    own = read_table(log)
+    (tmp_path / "map.toml").write_text(f"{HEAD}[command]\n{said}")
+    for read in (read_table(log, vehicle), read_table(log, mapping=tmp_path / "map.toml")):
+        counts = 48 + 1999 * own.channels["u4"]
+        np.testing.assert_allclose(read.channels["u1"], counts / 4094, atol=1e-9)
+    pytest.importorskip("rosbags")
+    bag = w.write_ros(tmp_path / "bag", w.channels(rows=300))
+    field = 'fields = ["angular_velocity.x", "angular_velocity.y", "angular_velocity.z"]\n'
+    columns = f"{prefixed(w.ROS_MAPPING)}[columns.rate]\n{field}"
+    vehicle = read_vehicle(vehicle_file(tmp_path / "v.toml", columns))
+    assert any('say stream = "/imu"' in n for n in read_table(bag, vehicle).notes)
+
+
 def test_a_log_in_our_names_is_read_with_the_vehicle_file_of_another_table(tmp_path: Path) -> None:
     """What `greybox inspect --out` wrote goes on with the vehicle file that the log came with."""
     c = w.channels(rows=200)
