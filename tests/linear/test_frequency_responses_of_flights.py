@@ -195,6 +195,7 @@ def test_what_is_measured_shows_itself_and_draws_itself():
 REFUSED = {
     "an input that is still": ({"inputs": ["still"]}, "channel still does not move"),
     "an unknown channel": ({"inputs": ["u9"]}, "unknown channel 'u9'"),
+    "a factor that is no number": ({"inputs": ["x=1.2.3*u1"]}, "channel 'x=1.2.3.u1'"),
     "no vehicle": ({"vehicle": None}, "--vehicle V.toml"),
     "one thing twice": ({"inputs": ["p"]}, "named as two things"),
     "too few references": (
