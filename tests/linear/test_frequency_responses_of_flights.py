@@ -226,6 +226,20 @@ def test_too_short_a_flight_is_refused_and_noise_is_not_called_a_response():
     assert not found.measured and found.line == "not measured: no frequency has coherence above 0.6"
 
 
+def test_a_channel_moves_by_its_own_size():
+    rng = np.random.default_rng(1)
+    a = rng.standard_normal(4000)
+    b = np.convolve(a, [0.5, 0.3, 0.2])[:4000] + 0.1 * rng.standard_normal(4000)
+    one, other = (
+        gb.frf(
+            gb.dataset_from_arrays(DT * np.arange(4000), {"a": 1e9 * a, "b": k * b}), ["a"], ["b"]
+        )
+        for k in (1.0, 1e-3)
+    )
+    assert one.measured
+    np.testing.assert_allclose(other.pairs["b/a"].value, 1e-3 * one.pairs["b/a"].value, rtol=1e-9)
+
+
 @pytest.mark.parametrize("window", [float("nan"), float("inf"), 0.0, -2.0])
 def test_a_window_that_is_no_length_is_refused(window):
     with pytest.raises(GreyboxError, match="a positive number of seconds"):
