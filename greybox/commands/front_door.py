@@ -173,7 +173,8 @@ def _error_of(fit: Fit, name: str, flight: str | None) -> float:
     found = fit.parameters.get(name)
     if found is None:
         return 0.0
-    return found.per_flight[flight][1] if flight in found.per_flight else found.std
+    own = None if flight is None else found.per_flight.get(flight)
+    return found.std if own is None else own[1]
 
 
 @takes(data=FLIGHTS, inputs=NAMES, outputs=NAMES, references=NAMES, vehicle=VEHICLE)
