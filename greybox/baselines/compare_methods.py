@@ -78,8 +78,7 @@ NARX_LAGS = (2, 4)
 
 @dataclass(frozen=True, kw_only=True)
 class Persistence:
-    """The last measured value; the variance is that of one-step differences on the training
-    flights."""
+    """The last measured value; the variance is that of its errors on the training flights."""
 
     outputs: tuple[str, ...]
     variance: FloatArray
@@ -93,8 +92,9 @@ class Persistence:
 
 
 def _persistence(bench: Bench) -> Outcome:
-    moved = [np.diff(s.matrix(bench.outputs), axis=0) ** 2 for s in bench.train_segments]
-    held = Persistence(outputs=bench.outputs, variance=np.nanmean(np.concatenate(moved), axis=0))
+    held = Persistence(outputs=bench.outputs, variance=np.ones(len(bench.outputs)))
+    moved = [(s.matrix(bench.outputs) - held.one_step(s)[0]) ** 2 for s in bench.train_segments]
+    held = replace(held, variance=np.nanmean(np.concatenate(moved), axis=0))
     mean, variance, microseconds = bench.channels_of(held, bench.segments)
     table = bench.rolled("persistence", None)
     return Outcome(

@@ -148,9 +148,10 @@ def profile(
     grid.
 
     `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has
-    its own value. The interval at `level` ends where the likelihood ratio says so; an end is the
-    bound where the profile reaches that first, and infinite where the data do not end it. Raises
-    `UnknownNameError`, and `ModelError` for the fit of a model with a learned part.
+    its own value. The interval at `level` ends where the likelihood ratio says so, of which the
+    standard error of the fit says how much it is worth; an end is the bound where the profile
+    reaches that first, and infinite where the data do not end it. Raises `UnknownNameError`, and
+    `ModelError` for the fit of a model with a learned part.
     """
     from greybox.estimation.profile import profile as along
     from greybox.estimation.solvers import SOLVERS
@@ -158,7 +159,22 @@ def profile(
 
     demand_known(fit.model)
     solver = SOLVERS[str(fit.settings["solver"])]()
-    return along(fit.problem, solver, fit.theta, name, flight=flight, grid=grid, level=level)
+    error = _error_of(fit, name, flight)
+    given = fit.problem, solver, fit.theta, name
+    return along(*given, flight=flight, grid=grid, level=level, error=error)
+
+
+def _error_of(fit: Fit, name: str, flight: str | None) -> float:
+    """Standard error of an estimated number, of a noise level that of its logarithm; 0 of another
+    unknown."""
+    if name in fit.noise:
+        level, error, _ = fit.noise[name]
+        return error / level
+    found = fit.parameters.get(name)
+    if found is None:
+        return 0.0
+    own = None if flight is None else found.per_flight.get(flight)
+    return found.std if own is None else own[1]
 
 
 @takes(data=FLIGHTS, inputs=NAMES, outputs=NAMES, references=NAMES, vehicle=VEHICLE)

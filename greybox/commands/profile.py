@@ -4,6 +4,7 @@ each."""
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -17,6 +18,7 @@ from greybox.commands.own_model import loaded, model_file_option, read_flights_o
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
+    from greybox.estimation.document import ParameterRow
     from greybox.estimation.options import FitChoices
     from greybox.estimation.profile import Profile
     from greybox.estimation.result import Fit
@@ -149,7 +151,8 @@ def _fitted(model: IdentifiedModel, train: Dataset, beside: Path) -> Fit:
     from greybox.estimation.options import FitOptions
     from greybox.files import read_json
 
-    settings = read_json(beside, schema="greybox.fit/1")["settings"]
+    content = read_json(beside, schema="greybox.fit/1")
+    settings = content["settings"]
     choices = cast("FitChoices", {k: settings[k] for k in KEPT if k in settings})
     choices |= {"values": dict(model.values), "noise": noise_of(model), "initialisation": "nominal"}
     found = fit(model.dynamics, train, FitOptions.of(None, choices))
@@ -158,7 +161,19 @@ def _fitted(model: IdentifiedModel, train: Dataset, beside: Path) -> Fit:
             "the fit does not converge from its own values",
             fix="greybox fit first; a profile needs its optimum",
         )
-    return found
+    return _with_errors(found, content["parameters"])
+
+
+def _with_errors(found: Fit, stated: Mapping[str, ParameterRow]) -> Fit:
+    """The fit with the errors that its fit.json states: they hold what the likelihood alone does
+    not see, as what the model lacks."""
+    from dataclasses import replace
+
+    wider = {
+        n: replace(e, std=max(e.std, error)) if n in stated and (error := stated[n]["std"]) else e
+        for n, e in found.parameters.items()
+    }
+    return replace(found, estimates=replace(found.estimates, parameters=wider))
 
 
 def _plain(p: Profile, found: Fit) -> ProfileRow:
@@ -168,6 +183,7 @@ def _plain(p: Profile, found: Fit) -> ProfileRow:
         "unit": p.unit,
         "estimate": p.estimate,
         "std": std,
+        "limit": 2.0 * p.limit,
         "lower": p.lower,
         "upper": p.upper,
         "at_bound": _ends(p, found),

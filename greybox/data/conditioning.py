@@ -271,7 +271,7 @@ def _with_drive(
     filled = drawn = lost = 0
     for piece in pieces:
         values = piece.matrix(names)
-        limit = max(round(max_gap / piece.dt), 1)
+        limit = max(round(min(max_gap / piece.dt, piece.n)), 1)  # infinite: no gap
         index = np.arange(piece.n)[:, None]
         known = np.isfinite(values)
         last = np.maximum.accumulate(np.where(known, index, -1), axis=0)

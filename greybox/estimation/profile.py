@@ -1,11 +1,13 @@
 """Profile likelihood of one unknown: the others re-optimised along a grid, and the likelihood-ratio
 interval.
 
-    interval = { v : 2 (V(v) - V_min) <= chi2_1(level) },   V(v) = min over the other unknowns of the cost
+    interval = { v : 2 (V(v) - V_min) <= c chi2_1(level) },   V(v) = min over the other unknowns of the cost
 
 (Venzon and Moolgavkar 1988, Applied Statistics 37(1); Raue et al. 2009, Bioinformatics 25(15).)
 Where the cost is not quadratic in the unknown this interval is right and the symmetric one is not;
-a flat profile is an unknown that the data do not identify. Priors are part of the cost.
+a flat profile is an unknown that the data do not identify. Priors are part of the cost. Where the
+likelihood is too sure, as with coloured innovations, c is the variance that the unknown has over
+that which the likelihood gives it (Kent 1982, Biometrika 69(1)), else 1.
 """
 
 from __future__ import annotations
@@ -98,7 +100,7 @@ class Profile(Shown):
 
     `lower` and `upper` end the likelihood-ratio interval at `level`; an end is the bound where the
     profile reaches it first, and infinite where the grid ended before the cost had risen enough
-    (not identified on that side).
+    (not identified on that side). Enough is `limit`.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Profile(Shown):
     cost: FloatArray
     converged: BoolArray
     level: float
+    limit: float
     lower: float
     upper: float
 
@@ -168,8 +171,10 @@ def profile(
     points: int = 6,
     width: float = 3.0,
     level: float = 0.95,
+    error: float = 0.0,
 ) -> Profile:
-    """Profile of the unknown `name` around the optimum `theta` (n,).
+    """Profile of the unknown `name` around the optimum `theta` (n,), whose standard `error` (of a
+    noise level in its logarithm) is known to be larger than the likelihood says, or may be.
 
     `grid` gives the values (in the unknown's unit); without it `points` values to either side,
     `width` standard errors apart at the end, and further ones while the cost has not risen enough.
@@ -179,14 +184,16 @@ def profile(
     u = problem.unknowns[place]
     logarithmic = u.kind == "noise"
     best = problem.evaluate(theta)
-    threshold = 0.5 * float(chi_square_quantile(level, 1))
+    own = _standard_error(best, place, u.scale)
+    wider = max(error / own, 1.0) if np.isfinite(error) else 1.0
+    threshold = 0.5 * float(chi_square_quantile(level, 1)) * wider**2
     centre = float(theta[place])
     walk = _Walk(problem, solver, place, {centre: (best.cost, True)})
     if grid is not None:
         given = np.asarray(grid, dtype=np.float64)
         walk.over(theta, np.log(given) if logarithmic else given)
     else:
-        step = width * _standard_error(best, place, u.scale) / points
+        step = width * wider * own / points
         for sign, end in ((1.0, u.upper), (-1.0, u.lower)):
             walk.out(theta, sign * step, end, threshold, points)
     found = walk.found
@@ -203,6 +210,7 @@ def profile(
         cost=cost,
         converged=np.array([found[v][1] for v in values]),
         level=level,
+        limit=threshold,
         lower=float(as_unit(lower)),
         upper=float(as_unit(upper)),
     )

@@ -53,6 +53,9 @@ STRONG = 10.0
 65(3), 1997)."""
 INTEGRATORS = {"p": 1, "q": 1, "r": 1, "az": 0}
 """From commands, which make torque and thrust, to these outputs; of others, what fits best."""
+STILL = 1e-9
+"""Root of a channel's sum of squares about its mean, in its largest value, up to which it does not
+move: rounding."""
 TOGETHER = 0.95
 """Coherence of an input with the others from which on they cannot be told apart."""
 
@@ -243,9 +246,9 @@ def _stretches(data: Dataset, c: _Channels) -> tuple[list[FloatArray], dict[str,
         if found
         else None
     )
-    size = max((np.abs(x).max() for x in found), default=0.0)
+    size = np.max([np.abs(x).max(axis=0) for x in found], axis=0) if found else None
     for i, spec in enumerate(c.all):
-        if spread is None or not spread[i] > 1e-9 * size:
+        if spread is None or size is None or not spread[i] > STILL * size[i]:
             raise DataError(
                 f"channel {spec.name} does not move",
                 where=", ".join(data.names),

@@ -27,7 +27,8 @@ from greybox.symbolic import FloatArray, Signal
 
 NAMES_COLUMNS = "--vehicle V.toml, which says what the log calls it"
 _TERM = re.compile(
-    r"([+-])\s*(?:([0-9.]+(?:e[+-]?[0-9]+)?)\s*\*\s*)?([A-Za-z_][\w.]*)", re.IGNORECASE
+    r"([+-])\s*(?:((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?)\s*\*\s*)?([A-Za-z_][\w.]*)",
+    re.IGNORECASE,
 )
 
 

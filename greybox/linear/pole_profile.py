@@ -25,6 +25,7 @@ from greybox.linear.parametrisation import Free
 from greybox.linear.pem import Nuisance, Settings, Solution, minimise
 from greybox.linear.predictor import from_full_vector, full_vector
 from greybox.linear.records import Record, prepare
+from greybox.linear.uncertainty import ComplexEstimate
 from greybox.model.matrices import Matrices
 from greybox.statistics.distributions import chi_square_quantile
 from greybox.symbolic import FloatArray
@@ -74,6 +75,13 @@ def _slope(value: complex, quantity: Quantity) -> complex:
         return 1.0j
     size = max(abs(value), 1e-12)
     return value / size if quantity == "magnitude" else 1.0j * value / size**2
+
+
+def _error(poles: ComplexEstimate, index: int, quantity: Quantity) -> float:
+    """Standard error of a quantity of one of the poles."""
+    slope = _slope(complex(poles.value[index]), quantity)
+    gradient = np.array([slope.real, slope.imag])
+    return float(np.sqrt(gradient @ poles.covariance[index] @ gradient))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +173,7 @@ class PoleProfile:
         pole.
         """
         pole, std = self._pole(index, quantity)
-        quantile = float(np.sqrt(chi_square_quantile(level, 1)))
+        quantile = float(np.sqrt(chi_square_quantile(level, 1))) * self._wider(index, quantity, std)
         at = measured(pole, quantity)
         lower, upper = (
             at + side * self._distance(pole, quantity, side, std, quantile) for side in (-1.0, 1.0)
@@ -181,7 +189,8 @@ class PoleProfile:
         return self._rise(self._solve(pole, quantity, target, self.start))
 
     def _pole(self, index: int, quantity: Quantity) -> tuple[complex, float]:
-        poles = self.fit.uncertainty.poles()
+        """A pole and the standard error of its quantity by the likelihood alone."""
+        poles = self.fit.fisher.poles()
         if not 0 <= index < len(poles.value):
             raise DataError(f"pole {index}", expected=f"0 .. {len(poles.value) - 1}")
         value = complex(poles.value[index])
@@ -189,9 +198,14 @@ class PoleProfile:
             raise DataError(
                 f"the {quantity} of a real pole is not free", fix="profile its real part"
             )
-        slope = _slope(value, quantity)
-        gradient = np.array([slope.real, slope.imag])
-        return value, float(np.sqrt(gradient @ poles.covariance[index] @ gradient))
+        return value, _error(poles, index, quantity)
+
+    def _wider(self, index: int, quantity: Quantity, std: float) -> float:
+        """By how much robust errors are larger than `std`, those by the likelihood alone; 1 where
+        there are none."""
+        if self.fit.robust is None:
+            return 1.0
+        return max(_error(self.fit.robust.poles(), index, quantity) / max(std, 1e-300), 1.0)
 
     def _distance(
         self, pole: complex, quantity: Quantity, side: float, std: float, quantile: float

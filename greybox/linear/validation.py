@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.errors import GreyboxError
+from greybox.estimation.record import hold_missing
 from greybox.files import Json
 from greybox.linear.document import JudgedModel
 from greybox.linear.fit import LinearFit, to_dict
@@ -251,7 +252,7 @@ def _test_rows(
     for ahead in k_step(model, record, reached, x0=known.x0, offset=known.offset):
         error = (ahead.measured - ahead.predicted)[first:]
         y = ahead.measured[first:]
-        source = delayed(record, model.delays).y
+        source = hold_missing(delayed(record, model.delays).y)[0]
         still = (ahead.measured - source[: len(ahead.measured)])[first:]
         if ahead.horizon == 1:
             one_step.append(error)
@@ -262,7 +263,7 @@ def _test_rows(
         moved = delayed(record, model.delays)
         plain = replace(model, delays=(0,) * len(model.inputs))
         y = simulate(plain, moved.u, x0=known.x0) + known.offset - model.output_offset
-        still = moved.y - moved.y[first]
+        still = moved.y - hold_missing(moved.y)[0][first]
         out.append(_row(record.name, 0, (moved.y - y)[first:], moved.y[first:], still[first:]))
     return out
 

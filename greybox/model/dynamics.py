@@ -24,6 +24,7 @@ import numpy as np
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from greybox.takes import COUNT, NUMBER, POSITIVE, shown
 
 
 @runtime_checkable
@@ -215,6 +216,23 @@ class StateSpaceModel:
             for name in given or ():
                 if name not in known:
                     raise UnknownNameError(f"{self.name}: {what}, name", name, known.names)
+        self._demand_numbers()
+
+    def _demand_numbers(self) -> None:
+        """Raise `ModelError` for starts that are no numbers, spreads that are none, and a step
+        without parts."""
+        asked = [(f"initial of {n}", v, NUMBER) for n, v in (self.initial or {}).items()]
+        for what in ("initial_sigma", "sensor_sigma"):
+            spread: Mapping[str, float] = getattr(self, what) or {}
+            asked += [(f"{what} of {n}", v, POSITIVE) for n, v in spread.items()]
+        for what, value, kind in (*asked, ("substeps", self.substeps, COUNT)):
+            if not kind.fits(value):
+                raise ModelError(
+                    f"{self.name}: {what}",
+                    expected=kind.words,
+                    got=shown(value),
+                    fix="a small one for what is known exactly" if kind is POSITIVE else None,
+                )
 
     def __hash__(self) -> int:
         """Of the declarations that can be hashed: equal models have equal ones."""

@@ -9,18 +9,18 @@ import numpy as np
 
 from greybox.report import figures
 from greybox.report.html import Cell, Report, Tag
-from greybox.statistics.distributions import chi_square_quantile
 
 
 class ProfileRow(TypedDict):
     """The profile of one unknown: estimate with standard error, ends of its interval (not finite, or
-    null in the file, where there is none), which of them are its bounds, and the cost (K,) over a
-    grid (K,)."""
+    null in the file, where there is none), the likelihood ratio there (`limit`), which of them are
+    its bounds, and the cost (K,) over a grid (K,)."""
 
     name: str
     unit: str
     estimate: float
     std: float | None
+    limit: float
     lower: float | None
     upper: float | None
     at_bound: list[str]
@@ -82,12 +82,12 @@ def _intervals(report: Report, content: ProfileDocument) -> None:
         numeric=(1, 2, 3),
         caption=f"The {100 * content['level']:g} % interval: values at which twice the negative "
         "log likelihood, all other unknowns fitted again, lies less than a quantile of chi-square "
-        "above its minimum. Where it differs from the symmetric one, it is the one to believe.",
+        "above its minimum, times what the variance of the fit is over that by the likelihood alone. "
+        "Where it differs from the symmetric one, it is the one to believe.",
     )
 
 
 def _curves(report: Report, content: ProfileDocument) -> None:
-    limit = float(chi_square_quantile(content["level"], 1))
     panels = []
     for p in content["profiles"]:
         cost = np.asarray(p["cost"], dtype=np.float64)
@@ -99,7 +99,7 @@ def _curves(report: Report, content: ProfileDocument) -> None:
         figure = figures.rise(
             p["grid"],
             ratio,
-            limit=limit,
+            limit=p["limit"],
             marks=marks,
             label="likelihood ratio",
             unit=p["unit"],

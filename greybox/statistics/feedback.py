@@ -65,6 +65,8 @@ def _past(s: FloatArray) -> FloatArray:
 
 
 def _left(gram: FloatArray) -> float:
-    """Sum of squares of the first column that a regression on the others leaves."""
+    """Sum of squares of the first column that a regression on the others leaves; where they foretell
+    all of it, what rounding leaves (never less, so it has a sign)."""
     solution = np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=1e-12)[0]
-    return float(gram[0, 0] - gram[0, 1:] @ solution)
+    rounding = np.finfo(np.float64).eps * gram[0, 0]
+    return float(max(gram[0, 0] - gram[0, 1:] @ solution, rounding))

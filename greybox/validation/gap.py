@@ -30,13 +30,8 @@ from greybox.statistics.blocks import clearly
 from greybox.symbolic import FloatArray, IntArray
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.against import TRACE
-from greybox.validation.baselines import (
-    ImuBias,
-    bias_at_start,
-    dead_reckoning,
-    has_groups,
-    imu_record,
-)
+from greybox.validation.baselines import ImuBias, bias_at_start, has_groups
+from greybox.validation.floor import reckoned_from
 from greybox.validation.groups import GROUPS, Groups, error_norms
 from greybox.validation.horizon import strided
 from greybox.validation.open_loop import GroupReader, predict_from
@@ -440,25 +435,16 @@ def _floor(
     there = has_groups(segment.channels, "rate", "specific_force") and "rotation" in references
     if not there or physics_of(model.dynamics) is None:
         return None
-    commands = filtered.record.inputs[origins + model.dynamics.window[0]]
-    own = reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p, commands)
-    start = {
-        g: references[g][origins].copy() if g in references else own.get(g)
-        for g in ("rotation", "position")
-    }
-    attitude = start["rotation"]
-    assert attitude is not None
-    attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
-    gravity = float(model.physics.vehicle.gravity)
-    return dead_reckoning(
-        imu_record(segment),
+    return reckoned_from(
+        segment,
+        filtered,
+        reader,
+        references,
         origins,
-        attitude=attitude,
-        velocity=own.get("velocity"),
-        position=start["position"],
+        past=model.dynamics.window[0],
         steps=steps,
         bias=bias,
-        gravity=gravity,
+        gravity=float(model.physics.vehicle.gravity),
     )
 
 

@@ -213,7 +213,7 @@ class Validation(Shown):
         if self.one_step:
             lines += [
                 "",
-                "one step ahead" + " " * 6 + f"{'RMSE':>11}  {'R2':>7}  {'inside 95 %':>11}",
+                f"{'one step ahead':<14} {'RMSE':>11} {'R2':>13}  {'inside 95 %':>11}",
             ]
             for name, m in self.one_step.items():
                 covered = [
@@ -221,7 +221,7 @@ class Validation(Shown):
                 ]
                 r2 = f"{m.r2:>7.4f}" if m.r2 is not None else f"{'-':>7}"
                 inside = f"{covered[0]:>11.1%}" if covered else f"{'-':>11}"
-                lines.append(f"  {name:<12} {m.rmse:>11.4g} {m.unit:<5}{r2}  {inside}")
+                lines.append(f"  {name:<12} {m.rmse:>11.4g} {m.unit:<5} {r2}  {inside}")
         if self.whiteness is not None:
             lines += ["", "innovations: are they white?", self.whiteness.format()]
         return "\n".join(lines)

@@ -41,15 +41,9 @@ from greybox.validation.adapt import (
     strangers,
 )
 from greybox.validation.advice import Hint, Symptom, hints_of_model, impossible, lacking
-from greybox.validation.baselines import (
-    ImuBias,
-    bias_at_start,
-    dead_reckoning,
-    has_groups,
-    imu_record,
-    persistence,
-)
+from greybox.validation.baselines import ImuBias, bias_at_start, has_groups, persistence
 from greybox.validation.comparison import Standard, standard_of
+from greybox.validation.floor import reckoned_from
 from greybox.validation.horizon import (
     BLOCK_SECONDS,
     REQUIRED,
@@ -358,46 +352,18 @@ class _Work:
             )
             posed = "rotation" in references and not self.reader.table["rotation"].own
             if posed and has_groups(segment.names, "rate", "specific_force"):
-                floor = self._dead_reckoning(segment, filtered, references, part, bias)
+                floor = reckoned_from(
+                    segment,
+                    filtered,
+                    self.reader,
+                    references,
+                    part,
+                    past=engine.past,
+                    steps=self.steps,
+                    bias=bias,
+                    gravity=self._gravity,
+                )
                 self._row("dead reckoning", name, floor, references, part)
-
-    def _dead_reckoning(
-        self,
-        segment: Segment,
-        filtered: Filtered,
-        references: Mapping[str, FloatArray],
-        origins: IntArray,
-        bias: ImuBias,
-    ) -> dict[str, FloatArray]:
-        """From the measured pose at the origin and the filter's velocity there (both known
-        causally)."""
-        commands = filtered.record.inputs[origins + self.filter.engine.past]
-        own = self.reader.values(
-            filtered.outputs[origins], filtered.states[origins], filtered.p, commands
-        )
-
-        def start(group: str) -> FloatArray | None:
-            if group == "velocity" or group not in references:
-                return own.get(group)
-            value = references[group][origins].copy()
-            lost = ~np.isfinite(value).all(axis=1)
-            if group in own:
-                value[lost] = own[group][lost]
-            return value
-
-        attitude = start("rotation")
-        assert attitude is not None
-        attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
-        return dead_reckoning(
-            imu_record(segment),
-            origins,
-            attitude=attitude,
-            velocity=start("velocity"),
-            position=start("position"),
-            steps=self.steps,
-            bias=bias,
-            gravity=self._gravity,
-        )
 
     def _row(
         self,

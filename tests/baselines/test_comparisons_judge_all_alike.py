@@ -4,6 +4,7 @@ page shows them."""
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 from xml.etree import ElementTree
 
@@ -68,6 +69,21 @@ def test_the_schema_accepts_every_partial_result(results):
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     for r in results:
         jsonschema.validate(to_plain({**r, "command": "greybox compare"}), SCHEMA)
+
+
+def slower(segment, name):
+    """The channel on every other row alone."""
+    values = np.where(np.arange(len(segment.t)) % 2, np.nan, segment.channels[name])
+    return replace(segment, channels={**segment.channels, name: values})
+
+
+def test_persistence_states_its_error_of_a_channel_measured_on_every_other_row(judged):
+    whole = METHODS["persistence"](judged).variance[0][-1]
+    slow = bench(adapt=2.0)
+    slow.train_segments = tuple(slower(s, "p") for s in slow.train_segments)
+    seen = METHODS["persistence"](slow).variance[0][-1]
+    assert whole[0] < seen[0] < 6 * whole[0]
+    np.testing.assert_allclose(seen[1:], whole[1:])
 
 
 def test_all_methods_are_judged_on_the_same_samples(results):

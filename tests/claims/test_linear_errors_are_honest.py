@@ -130,6 +130,20 @@ def test_profile_agrees_with_the_standard_error_of_a_strong_pole():
             assert profile.ratio(int(i), what, found.upper) == pytest.approx(3.84, abs=0.4)
 
 
+def test_profile_of_coloured_innovations_agrees_with_the_robust_error():
+    record = coloured(0)
+    options = Options(noise_model=False, settings=Settings(stable=True))
+    fit = fit_linear([record], 2, options=options)
+    profile = pole_profile(fit, [record])
+    for j, what in enumerate(("real", "imag")):
+        found = profile.interval(1, what)
+        robust, fisher = (
+            1.96 * np.sqrt(v.poles().covariance[1, j, j]) for v in (fit.robust, fit.fisher)
+        )
+        assert found.upper - found.estimate == pytest.approx(max(robust, fisher), rel=0.2)
+        assert found.estimate - found.lower == pytest.approx(max(robust, fisher), rel=0.2)
+
+
 def test_profile_of_a_weak_pole_is_wider_than_its_standard_error_on_one_side():
     fit = fit_linear([weak(2, 0.03)], 2)
     profile, poles = pole_profile(fit, [weak(2, 0.03)]), fit.uncertainty.poles()

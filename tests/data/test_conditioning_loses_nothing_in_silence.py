@@ -108,9 +108,10 @@ def test_gaps_end_segments_and_max_gap_decides():
     t = np.concatenate([np.arange(100), np.arange(130, 260)]) * 0.01
     raw = raw_log(t, u1=np.full(t.size, 0.5), p=np.sin(t))
     assert [s.n for s in condition(raw, trim=False).segments] == [100, 130]
-    (whole,) = condition(raw, trim=False, max_gap=0.5).segments
-    assert whole.n == 260
-    assert int(np.isnan(whole.column("p")).sum()) == 30
+    for most in (0.5, np.inf):
+        (whole,) = condition(raw, trim=False, max_gap=most).segments
+        assert whole.n == 260
+        assert int(np.isnan(whole.column("p")).sum()) == 30
 
 
 @settings(max_examples=25)

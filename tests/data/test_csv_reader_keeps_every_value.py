@@ -50,6 +50,15 @@ def test_values_come_back(tmp_path_factory, table, blank, newline, bom, packed, 
     assert read.rows.tolist() == list(range(2, 2 + len(table)))
 
 
+@pytest.mark.parametrize("sign", ["\x0b", "\x1c", "\x85", "\u2028"])
+def test_only_line_ends_end_a_row(tmp_path, sign):
+    path = tmp_path / "log.csv"
+    path.write_bytes(f"t,note,p\r\n0.0,a{sign}b,1.0\r\n0.1,c,2.0\r\n".encode())
+    read = read_csv(path)
+    assert read.columns["note"].tolist() == [f"a{sign}b", "c"]
+    assert read.columns["p"].tolist() == [1.0, 2.0]
+
+
 PARTED = {
     "semicolons": lambda text: text.replace(",", ";"),
     "decimal commas": lambda text: text.replace(",", ";").replace(".", ","),

@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+import greybox as gb
 from greybox.data import dataset_from_arrays
 from greybox.errors import UnknownNameError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.criteria.least_squares import LeastSquares
+from greybox.estimation.fit import fit
 from greybox.estimation.predictors.simulation import Simulation
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.profile import profile
@@ -21,13 +24,10 @@ from greybox.symbolic import FloatArray, Layout, Signal
 from tests import motor
 
 
-def line(product: bool = False) -> Problem:
+def straight(product: bool = False) -> StateSpaceModel:
     """y = slope * u + level (or a * b * u), which is linear in its parameters."""
-    rng = np.random.default_rng(2)
-    u = np.linspace(-1, 1, 200)
-    y = 2.0 * u + 0.5 * (not product) + 0.1 * rng.standard_normal(200)
     names = ("a", "b") if product else ("slope", "level")
-    model = StateSpaceModel(
+    return StateSpaceModel(
         name="line",
         states=Layout([Signal(name="x", unit="1")]),
         inputs=Layout([Signal(name="u", unit="1")]),
@@ -40,9 +40,20 @@ def line(product: bool = False) -> Problem:
         discrete=True,
         sensor_sigma={"y": 0.1},
     )
+
+
+def line(product: bool = False) -> Problem:
+    """The straight line with white noise."""
+    rng = np.random.default_rng(2)
+    u = np.linspace(-1, 1, 200)
+    y = 2.0 * u + 0.5 * (not product) + 0.1 * rng.standard_normal(200)
     data = dataset_from_arrays(0.01 * np.arange(200), {"u": u, "y": y})
     return make_problem(
-        model, data, predictor=Simulation(), criterion=LeastSquares(), estimate_initial=False
+        straight(product),
+        data,
+        predictor=Simulation(),
+        criterion=LeastSquares(),
+        estimate_initial=False,
     )
 
 
@@ -63,6 +74,22 @@ def test_on_a_linear_model_the_interval_is_two_standard_errors(solver: str) -> N
     assert found.estimate - found.lower == pytest.approx(1.95996 * error, rel=1e-3)
     rise = found.cost - found.cost.min()
     np.testing.assert_allclose(rise, 0.5 * ((found.grid - found.estimate) / error) ** 2, atol=1e-6)
+
+
+def test_where_errors_are_coloured_the_interval_holds_what_the_error_bar_does() -> None:
+    rng, n = np.random.default_rng(4), 4000
+    u, drive = np.sin(0.02 * np.arange(n)), 0.1 * rng.standard_normal(n)
+    noise = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], drive)
+    data = dataset_from_arrays(0.01 * np.arange(n), {"u": u, "y": 2.0 * u + 0.5 + noise})
+    found = fit(
+        straight(), data, predictor="simulation", criterion="least-squares", estimate_initial=False
+    )
+    slope = found.parameters["slope"]
+    assert found.coloured and slope.std > 3 * slope.std_fisher
+    interval = gb.profile(found, "slope")
+    assert interval.upper - interval.estimate == pytest.approx(1.95996 * slope.std, rel=1e-2)
+    assert interval.estimate - interval.lower == pytest.approx(1.95996 * slope.std, rel=1e-2)
+    assert interval.lower < 2.0 < interval.upper
 
 
 def test_a_factor_of_a_product_has_no_interval() -> None:

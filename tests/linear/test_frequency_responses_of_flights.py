@@ -195,6 +195,7 @@ def test_what_is_measured_shows_itself_and_draws_itself():
 REFUSED = {
     "an input that is still": ({"inputs": ["still"]}, "channel still does not move"),
     "an unknown channel": ({"inputs": ["u9"]}, "unknown channel 'u9'"),
+    "a factor that is no number": ({"inputs": ["x=1.2.3*u1"]}, "channel 'x=1.2.3.u1'"),
     "no vehicle": ({"vehicle": None}, "--vehicle V.toml"),
     "one thing twice": ({"inputs": ["p"]}, "named as two things"),
     "too few references": (
@@ -223,6 +224,20 @@ def test_too_short_a_flight_is_refused_and_noise_is_not_called_a_response():
     )
     found = gb.frf(noise, ["a"], ["b"])
     assert not found.measured and found.line == "not measured: no frequency has coherence above 0.6"
+
+
+def test_a_channel_moves_by_its_own_size():
+    rng = np.random.default_rng(1)
+    a = rng.standard_normal(4000)
+    b = np.convolve(a, [0.5, 0.3, 0.2])[:4000] + 0.1 * rng.standard_normal(4000)
+    one, other = (
+        gb.frf(
+            gb.dataset_from_arrays(DT * np.arange(4000), {"a": 1e9 * a, "b": k * b}), ["a"], ["b"]
+        )
+        for k in (1.0, 1e-3)
+    )
+    assert one.measured
+    np.testing.assert_allclose(other.pairs["b/a"].value, 1e-3 * one.pairs["b/a"].value, rtol=1e-9)
 
 
 @pytest.mark.parametrize("window", [float("nan"), float("inf"), 0.0, -2.0])

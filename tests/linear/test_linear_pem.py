@@ -8,6 +8,7 @@ from greybox.linear.fit import Options, Settings, fit_linear
 from greybox.linear.parametrisation import Free
 from greybox.linear.records import Record, prepare
 from greybox.linear.subspace import METHODS, subspace
+from greybox.linear.validation import validate_linear
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices, spectral_radius
 from scenarios.plants.linear_systems import random_system, simulate
@@ -91,6 +92,21 @@ def test_missing_samples_leave_the_estimate_where_it_was():
         np.abs(whole.model.matrices.poles().real - holes.model.matrices.poles().real)
         < 2.5 * std + 0.002
     ).all()
+
+
+def test_persistence_holds_the_last_value_where_a_channel_is_slower():
+    _, _, _, record = data(6, count=800)
+    fit = fit_linear([record], 3)
+
+    def rows(y):
+        test = Record(u=record.u, y=y)
+        return validate_linear(fit, [record], [test], [0, 1], [0, 1], horizons=(1, 2)).rows
+
+    slow = record.y.copy()
+    slow[::2, 1] = np.nan
+    for whole, holes in zip(rows(record.y), rows(slow), strict=True):
+        np.testing.assert_allclose(holes.persistence[0], whole.persistence[0])
+        assert 0.8 < holes.persistence[1] / whole.persistence[1] < 2.0
 
 
 def test_a_fit_converges_where_only_one_of_two_records_has_a_hole():

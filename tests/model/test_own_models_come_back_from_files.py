@@ -113,6 +113,20 @@ def test_a_file_that_does_not_fit_itself_is_refused(damage: str) -> None:
         own_from_dict(body)
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"initial_sigma": {"speed": 0.0}}, "initial_sigma of speed; expected a number above zero"),
+        ({"sensor_sigma": {"speed": float("nan")}}, "sensor_sigma of speed"),
+        ({"initial": {"speed": float("inf")}}, "initial of speed; expected a number"),
+        ({"substeps": 0}, "substeps; expected a whole number above zero"),
+    ],
+)
+def test_numbers_that_are_none_are_named(given: dict[str, object], said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        replace(motor.model(), **given)  # type: ignore[arg-type]
+
+
 def test_a_parameter_that_nothing_depends_on_is_named() -> None:
     model = motor.model()
     idle = Parameter(name="spare", unit="-", nominal=1.0)

@@ -91,6 +91,7 @@ def profile() -> Profile:
         cost=(grid - 0.03) ** 2 * 1e5,
         converged=np.ones(5, dtype=bool),
         level=0.95,
+        limit=1.92,
         lower=0.022,
         upper=0.038,
     )

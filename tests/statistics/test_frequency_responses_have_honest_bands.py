@@ -85,6 +85,12 @@ def test_feedback_is_told_from_its_absence():
     assert follows([flown(0)[:100]], 0, [1]) is None
 
 
+def test_feedback_that_leaves_nothing_open_is_feedback():
+    for seed in range(40):
+        y = np.random.default_rng(seed).standard_normal(300 + 60 * seed)
+        assert follows([np.column_stack([-0.7 * np.roll(y, 1), y])[1:]], 0, [1]) is True
+
+
 @pytest.mark.parametrize("rest", [5, 15, 39, 80])
 def test_a_rest_of_a_stretch_that_is_too_short_is_left_out(rest: int):
     whole = flown(0, 0.2, seconds=DT * (MOST_ROWS - rest), noise=0.6)

@@ -13,6 +13,7 @@ from greybox.validation.gap import predict_ahead
 from greybox.validation.validate import validate
 from tests.validation.test_validate_judges_causally import dataset, fly, make_model
 
+ATTITUDE = ("qw", "qx", "qy", "qz")
 BIAS = {"accelerometer_bias.b_x": 0.25, "accelerometer_bias.b_y": -0.1}
 
 
@@ -55,3 +56,14 @@ def test_the_floor_of_a_gap_knows_the_offsets_of_the_flight_too(model):
     floors = [np.concatenate(e.floor["rotation", 0.5]).mean() for e in (plain, adapted)]
     assert np.sqrt(floors[0]) > 0.02
     assert np.sqrt(floors[1]) < 0.5 * np.sqrt(floors[0])
+
+
+def test_the_floor_of_a_gap_holds_where_the_attitude_is_slower_than_the_gyro(model):
+    (segment,) = dataset(fly(model, 900, noise=1.0)).segments
+    slow = segment.replace(
+        {n: np.where(np.arange(segment.n) % 3, np.nan, segment.channels[n]) for n in ATTITUDE}
+    )
+    floors = [predict_ahead(model, dataset(s)).floor for s in (segment, slow)]
+    for key in (("position", 0.5), ("rotation", 0.5)):
+        every, third = (np.sqrt(np.concatenate(f[key]).mean()) for f in floors)
+        assert third < 1.5 * every, key

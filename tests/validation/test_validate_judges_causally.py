@@ -296,6 +296,8 @@ def test_the_result_is_valid_and_the_coverage_of_the_true_model_is_honest() -> N
     assert result.one_step["p"].rmse == pytest.approx(0.02, rel=0.1)
     assert all(c.fraction > 0.93 for c in (cs[1] for cs in result.coverage.values()))
     assert "position [m]" in result.format()
+    row = next(line for line in result.format().splitlines() if line.split()[:1] == ["ax"])
+    assert row.split()[2] == "m/s^2" and float(row.split()[3]) == round(result.one_step["ax"].r2, 4)
 
 
 def test_a_setpoint_elsewhere_is_no_extrapolation_and_a_faster_rate_is() -> None:

@@ -39,7 +39,7 @@ def read_csv(path: str | os.PathLike[str]) -> Table:
     where = str(path)
     content, digest = _content(path, where)
     text = _text(content, where)
-    lines = text.splitlines()
+    lines = [line.rstrip("\n") for line in io.StringIO(text, newline=None)]
     numbers = [i for i, line in enumerate(lines) if line.strip()]
     if not numbers:
         raise DataError(

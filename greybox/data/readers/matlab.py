@@ -52,7 +52,7 @@ def read_mat(path: str | os.PathLike[str]) -> Table:
             "read)",
         )
     times = [k for k, v in vectors.items() if k.rpartition(".")[2].lower() in _TIMES and v.size > 1]
-    n = max((vectors[k].size for k in times), default=max(set(lengths), key=lengths.count))
+    n = max((vectors[k].size for k in times), default=max(lengths, key=lengths.count))
     columns: dict[str, Column] = {k: v for k, v in vectors.items() if v.size == n}
     # A time inside a struct is the time of the table where no plain one is there.
     if times and not any(k.lower() in _TIMES for k in columns):

@@ -15,6 +15,7 @@ from greybox.data.inspection import inspect_log
 from greybox.data.logs import read_table
 from greybox.data.logs.csv import read_csv
 from greybox.data.readers import format_of, read_recording
+from greybox.data.readers.matlab import read_mat
 from greybox.errors import GreyboxError
 from greybox.examples import flight_path
 from tests.data.readers import writers as w
@@ -467,6 +468,15 @@ def test_structs_and_matrices_of_matlab_are_columns(tmp_path: Path) -> None:
     (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(500))
     with pytest.raises(GreyboxError, match="'-v7'"):
         read_table(tmp_path / "new.mat")
+
+
+def test_of_lengths_that_are_as_many_the_first_vectors_of_matlab_count(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    for n, names in ((60, ["p", "q"]), (7, ["r", "s"])):
+        first = {k: np.arange(float(n)) for k in names}
+        savemat(tmp_path / "f.mat", first | {k: np.arange(30.0) for k in ("u", "v")})
+        assert list(read_mat(tmp_path / "f.mat").columns) == names
 
 
 def test_times_and_lists_of_parquet_are_columns(tmp_path: Path) -> None:
