@@ -113,6 +113,11 @@ def read_betaflight(path: Path) -> Recording:
             f"{frames.before} frame(s) before the first whole one are left out: they are "
             "differences to nothing"
         )
+    if frames.doubtful:
+        notes.append(
+            f"{frames.doubtful} frame(s) are left out: others before them are lost (the card or "
+            "chip was too slow), or logging was paused"
+        )
     if not frames.whole:
         notes.append(
             "the log ends in the middle of a frame, or is damaged from there on; it is read up to "
@@ -171,26 +176,50 @@ PHASE = 5000.0
 @dataclass(frozen=True, kw_only=True)
 class _Frames:
     """The values of all I and P frames from the first I frame up to the first frame that the parser
-    cannot get over; `before` counts P frames before it, which are differences to nothing; `whole`
-    tells whether the parser came through."""
+    cannot get over; `before` counts P frames before it, which are differences to nothing; `doubtful`
+    those that are left out, as others before them are lost; `whole` tells whether the parser came
+    through."""
 
     rows: list[Row]
     before: int
+    doubtful: int
     whole: bool
 
 
 def _frames(parser: _Parser) -> _Frames:
     rows: list[Row] = []
-    before = 0
+    begins: list[int] = []
+    before, whole = 0, True
     try:
         for frame in parser.frames():
+            if frame.type.value == "I":
+                begins.append(len(rows))
             if frame.type.value == "I" or (frame.type.value == "P" and rows):
                 rows.append(frame.data)
             elif frame.type.value == "P":
                 before += 1
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, OSError):
-        return _Frames(rows=rows, before=before, whole=False)
-    return _Frames(rows=rows, before=before, whole=True)
+        whole = False
+    kept = _undoubted(rows, begins)
+    return _Frames(rows=kept, before=before, doubtful=len(rows) - len(kept), whole=whole)
+
+
+def _undoubted(rows: list[Row], begins: list[int]) -> list[Row]:
+    """The frames without the P frames between two I frames, which begin at `begins`, of which some
+    are lost.
+
+    A P frame is a difference to those before it, so that behind a lost one all are wrong up to the
+    next I frame. Where bytes are lost the parser cannot always tell, but the firmware writes the
+    same number between any two I frames.
+    """
+    sizes = np.diff([*begins, len(rows)])
+    if sizes.size < 3:
+        return rows
+    usual = int(np.argmax(np.bincount(sizes[:-1])))
+    kept: list[Row] = []
+    for at, size in zip(begins[:-1], sizes[:-1].tolist(), strict=True):
+        kept += rows[at : at + (size if size == usual else 1)]
+    return kept + rows[begins[-1] :]
 
 
 def _numbers(rows: list[Row], width: int) -> FloatArray:
