@@ -308,6 +308,7 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
             unit="g",
             frame="FLU",
             scale=1.0 / one_g,
+            note="low-pass filtered by the firmware",
         )
     if _major(headers) >= 4:
         yield Source(group="battery", stream="main", fields=("vbatLatest",), unit="V", scale=0.01)
