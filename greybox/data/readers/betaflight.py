@@ -93,9 +93,7 @@ def read_betaflight(path: Path) -> Recording:
         names = list(parser.field_names)
         table = _numbers(frames.rows, len(names))
         headers = parser.headers
-    fields = {
-        n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]
-    }
+    fields = {n: _integers(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]}
     if "time" not in fields:
         raise DataError(
             "no field 'time'", where=where, got=", ".join(names[:8]), fix="copy the log again"
@@ -161,7 +159,7 @@ PULSE = (1000.0, 2000.0)
 DSHOT = (48.0, 2047.0)
 """DShot values of no and of full throttle: those below are commands to the ESC."""
 WRAP = 2.0**32
-"""Microseconds after which `time` begins anew."""
+"""Where numbers of 32 bits begin anew."""
 FEATURE_3D = 1 << 12
 """Bit of the header `features`."""
 HIGH_RESOLUTION = 10.0
@@ -234,6 +232,12 @@ def _numbers(rows: list[Row], width: int) -> FloatArray:
     return table
 
 
+def _integers(values: FloatArray) -> FloatArray:
+    """Values (N,) as the 32 bits that the firmware keeps of them: a motor below its least output,
+    as a stopped one is, comes as that much less than 2^32."""
+    return np.where(np.abs(values) < WRAP / 2, values, (values + WRAP / 2) % WRAP - WRAP / 2)
+
+
 def _unwrapped(time: FloatArray) -> FloatArray:
     """Microseconds (N,) that go on where the firmware's counter of 32 bits begins anew, 71.6 min
     after boot."""
@@ -276,7 +280,12 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
     limits = _limits(headers)
     if motors and limits:
         yield Source(
-            group="command", stream="main", fields=motors, limits=limits, note=_idle(headers)
+            group="command",
+            stream="main",
+            fields=motors,
+            limits=limits,
+            convert=lambda outputs: np.asarray(np.maximum(outputs, limits[0])),  # stopped
+            note=_idle(headers),
         )
     for prefix, note in (("gyroADC", "low-pass filtered by the firmware"), ("gyroUnfilt", "")):
         names = tuple(f"{prefix}[{i}]" for i in range(3))
