@@ -352,6 +352,29 @@ def test_samples_that_are_written_together_keep_the_time_of_each(tmp_path: Path)
     np.testing.assert_allclose(raw.channels["p"], turning, atol=1e-6)
 
 
+def test_the_estimate_that_the_craft_flew_by_is_read(tmp_path: Path) -> None:
+    stamps = [10_000 * k for k in range(1, 61)]
+    half = float(np.sqrt(0.5))
+    turned = [
+        (t, core, *q) for t in stamps for core, q in enumerate(((1.0, 0, 0, 0), (half, half, 0, 0)))
+    ]
+    for primary in (0, 1):
+        gyro = [(t, 0, 0.1, 0.2, 0.3) for t in stamps]
+        chosen = [(t, core, primary) for t in stamps for core in (0, 1)]
+        path = tmp_path / "a.bin"
+        path.write_bytes(
+            w.dataflash_bytes(
+                [
+                    ("IMU", "QBfff", "TimeUS,I,GyrX,GyrY,GyrZ", gyro),
+                    ("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4", turned),
+                    ("XKF4", "QBb", "TimeUS,C,PI", chosen),
+                ]
+            )
+        )
+        note = next(n for n in read_table(path).notes if n.startswith("qw"))
+        assert f"XKQ[{primary}]" in note
+
+
 # Crazyflie ----------------------------------------------------------------------------------------------------------
 
 

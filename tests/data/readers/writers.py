@@ -323,7 +323,7 @@ def write_crazyflie(path: Path, c: Columns, *, version: int = 2) -> Path:
 
 # ArduPilot DataFlash ------------------------------------------------------------------------------------------------
 
-DATAFLASH = {"Q": "Q", "B": "B", "H": "H", "f": "f", "N": "16s", "n": "4s", "Z": "64s"}
+DATAFLASH = {"Q": "Q", "B": "B", "b": "b", "H": "H", "f": "f", "N": "16s", "n": "4s", "Z": "64s"}
 
 
 def dataflash_bytes(messages: Sequence[tuple[str, str, str, Sequence[tuple[Any, ...]]]]) -> bytes:
