@@ -1,6 +1,6 @@
 # %% [markdown]
 # # A blackbox log of Betaflight
-# There is no position and no attitude in it: rates and accelerometer alone. That is enough for the rotational half.
+# There is no position in it, and before 2025.12 no attitude. Rates and accelerometer are enough for the rotational half.
 
 # %%
 import greybox as gb

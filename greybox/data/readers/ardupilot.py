@@ -246,7 +246,8 @@ _CHOICES: tuple[tuple[str, str, tuple[str, ...], str, str, str], ...] = (
 
 def _sources(streams: Mapping[str, Stream], parameters: Mapping[str, float]) -> Iterator[Source]:
     for group, message, fields, unit, frame, note in _CHOICES:
-        for stream in (message, f"{message}[0]"):
+        cores = (_flown_by(streams, message), 0)
+        for stream in (message, *(f"{message}[{core}]" for core in dict.fromkeys(cores))):
             if stream in streams and set(fields) <= set(streams[stream].fields):
                 yield Source(
                     group=group, stream=stream, fields=fields, unit=unit, frame=frame, note=note
@@ -266,6 +267,15 @@ def _sources(streams: Mapping[str, Stream], parameters: Mapping[str, float]) -> 
             "numbers them"
         )
         yield Source(group="command", stream="RCOU", fields=fields, limits=limits, note=note)
+
+
+def _flown_by(streams: Mapping[str, Stream], message: str) -> int:
+    """The estimator core that the craft flew by for most of the log: PI of XKF4 and NKF4
+    (libraries/AP_NavEKF3/LogStructure.h); 0 of other messages."""
+    states = streams.get(f"{message[:2]}F4[0]") or streams.get(f"{message[:2]}F4")
+    if message[:2] not in ("XK", "NK") or states is None or "PI" not in states.fields:
+        return 0
+    return max(int(np.median(states.fields["PI"])), 0)
 
 
 FORMAT = LogFormat(

@@ -93,9 +93,7 @@ def read_betaflight(path: Path) -> Recording:
         names = list(parser.field_names)
         table = _numbers(frames.rows, len(names))
         headers = parser.headers
-    fields = {
-        n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]
-    }
+    fields = {n: _integers(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]}
     if "time" not in fields:
         raise DataError(
             "no field 'time'", where=where, got=", ".join(names[:8]), fix="copy the log again"
@@ -112,6 +110,11 @@ def read_betaflight(path: Path) -> Recording:
         notes.append(
             f"{frames.before} frame(s) before the first whole one are left out: they are "
             "differences to nothing"
+        )
+    if frames.doubtful:
+        notes.append(
+            f"{frames.doubtful} frame(s) are left out: others before them are lost (the card or "
+            "chip was too slow), or logging was paused"
         )
     if not frames.whole:
         notes.append(
@@ -156,7 +159,7 @@ PULSE = (1000.0, 2000.0)
 DSHOT = (48.0, 2047.0)
 """DShot values of no and of full throttle: those below are commands to the ESC."""
 WRAP = 2.0**32
-"""Microseconds after which `time` begins anew."""
+"""Where numbers of 32 bits begin anew."""
 FEATURE_3D = 1 << 12
 """Bit of the header `features`."""
 HIGH_RESOLUTION = 10.0
@@ -171,26 +174,50 @@ PHASE = 5000.0
 @dataclass(frozen=True, kw_only=True)
 class _Frames:
     """The values of all I and P frames from the first I frame up to the first frame that the parser
-    cannot get over; `before` counts P frames before it, which are differences to nothing; `whole`
-    tells whether the parser came through."""
+    cannot get over; `before` counts P frames before it, which are differences to nothing; `doubtful`
+    those that are left out, as others before them are lost; `whole` tells whether the parser came
+    through."""
 
     rows: list[Row]
     before: int
+    doubtful: int
     whole: bool
 
 
 def _frames(parser: _Parser) -> _Frames:
     rows: list[Row] = []
-    before = 0
+    begins: list[int] = []
+    before, whole = 0, True
     try:
         for frame in parser.frames():
+            if frame.type.value == "I":
+                begins.append(len(rows))
             if frame.type.value == "I" or (frame.type.value == "P" and rows):
                 rows.append(frame.data)
             elif frame.type.value == "P":
                 before += 1
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, OSError):
-        return _Frames(rows=rows, before=before, whole=False)
-    return _Frames(rows=rows, before=before, whole=True)
+        whole = False
+    kept = _undoubted(rows, begins)
+    return _Frames(rows=kept, before=before, doubtful=len(rows) - len(kept), whole=whole)
+
+
+def _undoubted(rows: list[Row], begins: list[int]) -> list[Row]:
+    """The frames without the P frames between two I frames, which begin at `begins`, of which some
+    are lost.
+
+    A P frame is a difference to those before it, so that behind a lost one all are wrong up to the
+    next I frame. Where bytes are lost the parser cannot always tell, but the firmware writes the
+    same number between any two I frames.
+    """
+    sizes = np.diff([*begins, len(rows)])
+    if sizes.size < 3:
+        return rows
+    usual = int(np.argmax(np.bincount(sizes[:-1])))
+    kept: list[Row] = []
+    for at, size in zip(begins[:-1], sizes[:-1].tolist(), strict=True):
+        kept += rows[at : at + (size if size == usual else 1)]
+    return kept + rows[begins[-1] :]
 
 
 def _numbers(rows: list[Row], width: int) -> FloatArray:
@@ -203,6 +230,12 @@ def _numbers(rows: list[Row], width: int) -> FloatArray:
             if isinstance(value, (int, float)):
                 table[i, j] = value
     return table
+
+
+def _integers(values: FloatArray) -> FloatArray:
+    """Values (N,) as the 32 bits that the firmware keeps of them: a motor below its least output,
+    as a stopped one is, comes as that much less than 2^32."""
+    return np.where(np.abs(values) < WRAP / 2, values, (values + WRAP / 2) % WRAP - WRAP / 2)
 
 
 def _unwrapped(time: FloatArray) -> FloatArray:
@@ -247,7 +280,12 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
     limits = _limits(headers)
     if motors and limits:
         yield Source(
-            group="command", stream="main", fields=motors, limits=limits, note=_idle(headers)
+            group="command",
+            stream="main",
+            fields=motors,
+            limits=limits,
+            convert=lambda outputs: np.asarray(np.maximum(outputs, limits[0])),  # stopped
+            note=_idle(headers),
         )
     for prefix, note in (("gyroADC", "low-pass filtered by the firmware"), ("gyroUnfilt", "")):
         names = tuple(f"{prefix}[{i}]" for i in range(3))
@@ -279,6 +317,7 @@ def _found(fields: Mapping[str, FloatArray], headers: Headers) -> Iterator[Sourc
             unit="g",
             frame="FLU",
             scale=1.0 / one_g,
+            note="low-pass filtered by the firmware",
         )
     if _major(headers) >= 4:
         yield Source(group="battery", stream="main", fields=("vbatLatest",), unit="V", scale=0.01)

@@ -89,3 +89,26 @@ def test_a_stranger_gets_a_vehicle_file_and_no_false_alarm(
     said = capsys.readouterr().out
     assert "[ranges]" not in said and "clips" not in said
     assert "blocking" not in said
+
+
+@pytest.mark.parametrize("seed", [0, 8])
+def test_where_bytes_are_lost_no_value_is_another(seed: int, tmp_path: Path) -> None:
+    """A P frame is a difference: behind a lost one all would be wrong up to the next whole one."""
+    pytest.importorskip("orangebox")
+    data, rng = LOG.read_bytes(), np.random.default_rng(seed)
+    begin = data.index(b"\n", data.rindex(b"\nH ") + 1)
+    cuts = np.sort(rng.integers(begin + 5000, len(data) - 500, 20))
+    lengths = rng.integers(1, 60, cuts.size)
+    parts = np.split(np.frombuffer(data, dtype=np.uint8), cuts)
+    kept = [parts[0], *(part[n:] for part, n in zip(parts[1:], lengths, strict=True))]
+    (tmp_path / "lost.bfl").write_bytes(np.concatenate(kept).tobytes())
+    whole, rest = (
+        read_recording(path).streams["main"].fields for path in (LOG, tmp_path / "lost.bfl")
+    )
+    at = np.searchsorted(whole["time"], rest["time"])
+    assert 0.7 * whole["time"].size < at.size < whole["time"].size
+    for name in [n for n in whole if n.startswith(("time", "gyro", "acc", "motor", "imu"))]:
+        np.testing.assert_array_equal(rest[name], whole[name][at], err_msg=name)
+    assert any(
+        "others before them are lost" in n for n in read_recording(tmp_path / "lost.bfl").notes
+    )

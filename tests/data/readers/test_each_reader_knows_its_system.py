@@ -278,6 +278,27 @@ def test_rotors_that_may_turn_backwards_ask_for_their_range(tmp_path: Path) -> N
     assert any("turn backwards (feature 3D); give [command] limits" in n for n in raw.notes)
 
 
+@pytest.mark.parametrize(
+    ("output", "stopped"), [("158,2047", 0), ("1055,2000", 1000)], ids=["DShot", "pulses"]
+)
+def test_a_stopped_motor_is_a_command_of_zero(output: str, stopped: int, tmp_path: Path) -> None:
+    """The firmware writes motor[0] less its least output as 32 bits without a sign."""
+    pytest.importorskip("orangebox")
+    idle = float(output.partition(",")[0])
+    motor = np.where(np.arange(N) < N // 2, stopped, idle)
+    fields = {"time": np.arange(N) * 1e3, **{f"gyroADC[{i}]": np.zeros(N) for i in range(3)}}
+    fields |= {f"motor[{i}]": motor for i in range(4)}
+    path = tmp_path / "f.bbl"
+    headers = {"motorOutput": output, "maxthrottle": "2000"}
+    path.write_bytes(w.blackbox_bytes(fields, headers, least=int(idle)))
+    raw = read_table(path)
+    low, high = (48, 2047) if stopped == 0 else (1000, 2000)
+    for k in (1, 2):
+        assert (raw.channels[f"u{k}"][: N // 2] == 0).all()
+        known = (idle - low) / (high - low)
+        np.testing.assert_allclose(raw.channels[f"u{k}"][N // 2 :], known, atol=1e-9)
+
+
 def test_the_clock_goes_on_where_its_counter_begins_anew(tmp_path: Path) -> None:
     pytest.importorskip("orangebox")
     stamps = (2**32 - 50_000 + 1000 * np.arange(N)) % 2**32
@@ -389,6 +410,29 @@ def test_samples_that_are_written_together_keep_the_time_of_each(tmp_path: Path)
     raw = read_table(path)
     np.testing.assert_allclose(np.diff(raw.t), 5e-4, atol=1e-9)
     np.testing.assert_allclose(raw.channels["p"], turning, atol=1e-6)
+
+
+def test_the_estimate_that_the_craft_flew_by_is_read(tmp_path: Path) -> None:
+    stamps = [10_000 * k for k in range(1, 61)]
+    half = float(np.sqrt(0.5))
+    turned = [
+        (t, core, *q) for t in stamps for core, q in enumerate(((1.0, 0, 0, 0), (half, half, 0, 0)))
+    ]
+    for primary in (0, 1):
+        gyro = [(t, 0, 0.1, 0.2, 0.3) for t in stamps]
+        chosen = [(t, core, primary) for t in stamps for core in (0, 1)]
+        path = tmp_path / "a.bin"
+        path.write_bytes(
+            w.dataflash_bytes(
+                [
+                    ("IMU", "QBfff", "TimeUS,I,GyrX,GyrY,GyrZ", gyro),
+                    ("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4", turned),
+                    ("XKF4", "QBb", "TimeUS,C,PI", chosen),
+                ]
+            )
+        )
+        note = next(n for n in read_table(path).notes if n.startswith("qw"))
+        assert f"XKQ[{primary}]" in note
 
 
 # Crazyflie ----------------------------------------------------------------------------------------------------------

@@ -323,7 +323,7 @@ def write_crazyflie(path: Path, c: Columns, *, version: int = 2) -> Path:
 
 # ArduPilot DataFlash ------------------------------------------------------------------------------------------------
 
-DATAFLASH = {"Q": "Q", "B": "B", "H": "H", "f": "f", "N": "16s", "n": "4s", "Z": "64s"}
+DATAFLASH = {"Q": "Q", "B": "B", "b": "b", "H": "H", "f": "f", "N": "16s", "n": "4s", "Z": "64s"}
 
 
 def dataflash_bytes(messages: Sequence[tuple[str, str, str, Sequence[tuple[Any, ...]]]]) -> bytes:
@@ -407,22 +407,34 @@ def _signed(value: int) -> bytes:
     return _unsigned(((value << 1) ^ (value >> 31)) & 0xFFFFFFFF)
 
 
-def blackbox_bytes(fields: Mapping[str, np.ndarray], headers: Mapping[str, str]) -> bytes:
-    """A blackbox log of I frames: every field a signed variable-byte integer without a
-    prediction."""
+def blackbox_bytes(
+    fields: Mapping[str, np.ndarray], headers: Mapping[str, str], least: int | None = None
+) -> bytes:
+    """A blackbox log of I frames: every field a signed variable-byte integer without a prediction,
+    and motor[0] as the firmware writes it where its `least` output is given."""
     names = ["loopIteration", *fields]
     n = len(next(iter(fields.values())))
     out = "H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n"
     out += "H I interval:1\nH P interval:1/1\n"
     out += "H Field I name:" + ",".join(names) + "\n"
+    own = names.index("motor[0]") if least is not None else -1
     for key in ("signed", "predictor", "encoding"):
         one = {"signed": "1", "predictor": "0", "encoding": "0"}[key]
-        out += f"H Field I {key}:" + ",".join([one] * len(names)) + "\n"
+        firmware = {"signed": "0", "predictor": "11", "encoding": "1"}[key]
+        codes = [firmware if k == own else one for k in range(len(names))]
+        out += f"H Field I {key}:" + ",".join(codes) + "\n"
     for key in ("predictor", "encoding"):
         out += f"H Field P {key}:" + ",".join(["0"] * len(names)) + "\n"
     out += "".join(f"H {k}:{v}\n" for k, v in headers.items())
     table = np.column_stack([np.arange(n), *(np.rint(v).astype(np.int64) for v in fields.values())])
-    frames = b"".join(b"I" + b"".join(_signed(int(v)) for v in row) for row in table)
+
+    def frame(row: np.ndarray) -> bytes:
+        return b"I" + b"".join(
+            _unsigned((int(v) - (least or 0)) & 0xFFFFFFFF) if k == own else _signed(int(v))
+            for k, v in enumerate(row)
+        )
+
+    frames = b"".join(map(frame, table))
     return out.encode() + frames + b"E\xff" + b"End of log\0"
 
 
