@@ -28,6 +28,10 @@ LONGEST = 0.5
 """Lags beyond [s] are not looked for."""
 SLOWEST = 0.15
 """Largest T [s]: a slower one is the corner of an integrator, not a rotor."""
+UNTOLD = 0.5
+"""Relative error of a gain that may as well be none."""
+ROUNDED = 1e-13
+"""Eigenvalue of slopes of unit length that rounding leaves of none."""
 GUESSES = np.arange(-0.1, 0.3, 0.004)
 """Lags [s] to start from: the one that straightens the phase tells which turns belong to it."""
 
@@ -82,7 +86,8 @@ def lag_and_gain(
 ) -> LagAndGain | None:
     """The form at the `usable` (K,) frequencies [Hz] of the widest band, with a loss that stray
     ones hardly move; `integrators` between input and output, or the number that fits best. None
-    where there are too few frequencies."""
+    where there are too few frequencies, or these do not tell the gain: far above the corner of a
+    rotor, twice the gain with twice the lag looks the same."""
     places = np.flatnonzero(usable)
     cuts = np.flatnonzero(np.diff(np.log(frequency[places])) > np.log(APART)) + 1
     one = max(np.split(places, cuts), key=len)
@@ -91,7 +96,8 @@ def lag_and_gain(
     f, h, std = frequency[one], value[one], error[one]
     orders = (0, 1, 2) if integrators is None else (integrators,)
     found = [_fitted(f, h, std, n) for n in orders]
-    return min(found, key=lambda pair: pair[0])[1]
+    best = min(found, key=lambda pair: pair[0])[1]
+    return best if best.gain_std < UNTOLD * abs(best.gain) else None
 
 
 def _fitted(
@@ -137,7 +143,7 @@ def _fitted(
     free = max(r.size - done.x.size, 1)
     # The median of squares tells the scatter without the stray ones; 0.455 is that of chi-square.
     scatter = max(1.0, float(np.median(r**2)) / 0.455 * r.size / free)
-    std = np.sqrt(np.diag(np.linalg.pinv(j.T @ j, rcond=1e-10)) * scatter)
+    std = _errors(j, done.active_mask != 0) * np.sqrt(scatter)
     gain = sign * float(np.exp(done.x[0]))
     return float(done.cost), LagAndGain(
         lag=float(done.x[1]),
@@ -149,3 +155,14 @@ def _fitted(
         low=float(f[0]),
         high=float(f[-1]),
     )
+
+
+def _errors(jacobian: FloatArray, held: BoolArray) -> FloatArray:
+    """Standard errors (P,) of unit residuals by their slopes (R, P); 0 of what is `held` at a bound
+    or without effect. What the residuals do not tell apart is uncertain, up to rounding."""
+    size = np.linalg.norm(jacobian, axis=0)
+    open_ = (size > 0) & ~held
+    told, ways = np.linalg.eigh((unit := jacobian[:, open_] / size[open_]).T @ unit)
+    out = np.zeros(size.size)
+    out[open_] = np.sqrt((ways**2 / np.maximum(told, ROUNDED)).sum(axis=1)) / size[open_]
+    return out

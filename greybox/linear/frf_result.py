@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.data.channel import rotor_speed_names
 from greybox.data.drive import LATE_SPEEDS
-from greybox.estimation.lag_and_gain import LagAndGain, LagAndGainRow
+from greybox.estimation.lag_and_gain import FEWEST, LagAndGain, LagAndGainRow
 from greybox.linear.logs import ChannelSpec
 from greybox.runs import runs
 from greybox.shown import Cell, Shown
@@ -121,6 +121,11 @@ class Pair:
         yield f"{self.name}: coherence above {TRUSTED:g} at {self.coherent_bands()}{closed}"
         if self.form is not None:
             yield "  " + self._form_line(self.form)
+        elif self.usable.sum() >= FEWEST:
+            yield (
+                "  these frequencies tell no gain and no lag: excite lower ones, where the output "
+                "still follows"
+            )
         yield from (f"  {line}" for line in self.parts())
 
     def _form_line(self, f: LagAndGain) -> str:
