@@ -463,3 +463,20 @@ def test_electrical_turns_are_divided_by_pole_pairs_that_are_said(
     (tmp_path / "map.toml").write_text(draft((guess,), ("t", "s")))
     speeds = read_log(log, mapping=tmp_path / "map.toml", trim=False).segments[0].channels["omega1"]
     np.testing.assert_allclose(speeds, 30_000 * np.pi / 30)
+
+
+@pytest.mark.parametrize(("top", "said"), [(1.0, False), (700.0, True)])
+def test_commands_without_a_range_are_said_to_need_one(
+    top: float, said: bool, tmp_path: Path
+) -> None:
+    """Commanded speeds as a simulator logs them: usable, once their range is known."""
+    t, rng = 0.01 * np.arange(400), np.random.default_rng(0)
+    rows = [",".join(["t", "u1", "u2", "u3", "u4", "p", "q", "r"])]
+    rows += [
+        ",".join(f"{v:.6g}" for v in (k, *(top * rng.uniform(0.3, 0.8, 4)), *rng.normal(size=3)))
+        for k in t
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    verdict = inspect_log(tmp_path / "a.csv").verdict
+    assert verdict.startswith("usable for a fit")
+    assert ("say what is u = 0 and u = 1" in verdict) == said
