@@ -54,6 +54,13 @@ def test_the_title_of_a_file_holds_no_number_that_a_setting_changes(name):
     assert not re.search(r"\d (kg|g|mm|cm|m)\b", title), title
 
 
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_gravity_is_the_standard_one_and_says_what_simulators_have(name):
+    """Of 9.81 in a simulator .003 m/s^2 are left, as a force without a name."""
+    (line,) = [row for row in vehicle_text(name, {}).splitlines() if row.startswith("gravity")]
+    assert line.startswith("gravity = 9.80665  # m/s^2") and "simulators have 9.81" in line
+
+
 @pytest.mark.parametrize("name", ["nanobench", "arpl_crazyflie"])
 def test_shipped_real_craft_are_not_called_impossible(name):
     assert check_vehicle(read_vehicle(vehicle_path(name))).ok
