@@ -91,6 +91,19 @@ def untold(rates: Mapping[str, float]) -> Iterator[str]:
         )
 
 
+def unscaled(raw: RawLog) -> Iterator[str]:
+    """That commands still need their range, where most are none of 0 to 1."""
+    names = command_names(raw.channels)
+    u = np.concatenate([raw.channels[n] for n in names]) if names else np.zeros(0)
+    u = u[np.isfinite(u)]
+    if u.size and not 0.0 <= float(np.median(u)) <= 1.0:
+        yield (
+            f"commands go from {u.min():.4g} to {u.max():.4g}: say what is u = 0 and u = 1, "
+            "limits = [low, high] of [command] in a mapping file, or u_min and u_max of the vehicle "
+            "file"
+        )
+
+
 def _stands(raw: RawLog) -> bool:
     if not all(n in raw.channels for n in "pqr"):
         return False

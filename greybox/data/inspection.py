@@ -12,7 +12,7 @@ import numpy.typing as npt
 from greybox.data.airframe import Airframe
 from greybox.data.channel import GROUPS, channel, group_names
 from greybox.data.document import InspectDocument, StreamRow
-from greybox.data.fitness import unfit, untold
+from greybox.data.fitness import unfit, unscaled, untold
 from greybox.data.logs import mapping_for
 from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
@@ -112,8 +112,10 @@ class Inspection(Shown):
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """What a log that can be fitted is too slow to tell."""
-        return () if self.unfit else tuple(untold({g.group: g.rate for g in self.groups}))
+        """What a log that can be fitted does not say of its commands, or is too slow to tell."""
+        if self.unfit or self.raw is None:
+            return ()
+        return (*unscaled(self.raw), *untold({g.group: g.rate for g in self.groups}))
 
     @property
     def verdict(self) -> str:

@@ -276,11 +276,13 @@ def _errors(
     information: FloatArray,
     moved: FloatArray,
 ) -> list[float]:
-    """Standard errors of the steps of the unknowns at `own`, never below those of white errors."""
+    """Standard errors of the steps of the unknowns at `own`, never below those of white errors;
+    infinite where rounding leaves no information."""
     inverse = np.linalg.inv(information)
     least, scatter = np.diag(inverse), _scatter(at, rest, own, moved)
     variance = least if scatter is None else np.diag(inverse @ scatter @ inverse)
-    return [float(e) for e in np.sqrt(np.maximum(variance, least))]
+    wider = np.maximum(variance, least)
+    return [float(e) for e in np.sqrt(np.where(wider > 0, wider, np.inf))]
 
 
 def _inverse(at: Parabola, among: Sequence[int]) -> FloatArray:

@@ -64,6 +64,13 @@ def test_half_the_mass_at_twice_the_arm_is_another_craft():
     assert (thrust, torque) == pytest.approx((0.5, 1.0), rel=1e-5)
 
 
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_gravity_is_the_standard_one_and_says_what_simulators_have(name):
+    """Of 9.81 in a simulator .003 m/s^2 are left, as a force without a name."""
+    (line,) = [row for row in vehicle_text(name, {}).splitlines() if row.startswith("gravity")]
+    assert line.startswith("gravity = 9.80665  # m/s^2") and "simulators have 9.81" in line
+
+
 @pytest.mark.parametrize("name", ["nanobench", "arpl_crazyflie"])
 def test_shipped_real_craft_are_not_called_impossible(name):
     assert check_vehicle(read_vehicle(vehicle_path(name))).ok

@@ -509,3 +509,20 @@ def test_paths_of_messages_are_told_by_their_last_words(paths: dict[str, str]) -
 def test_what_is_asked_for_is_nothing_measured() -> None:
     asked = ("cmd_vel_x", "cmd_vel_y", "cmd_vel_z", "cmd.roll", "cmd.pitch", "cmd.yaw")
     assert guess_columns({n: np.linspace(-1, 1, 50) for n in asked}) == ()
+
+
+@pytest.mark.parametrize(("top", "said"), [(1.0, False), (700.0, True)])
+def test_commands_without_a_range_are_said_to_need_one(
+    top: float, said: bool, tmp_path: Path
+) -> None:
+    """Commanded speeds as a simulator logs them: usable, once their range is known."""
+    t, rng = 0.01 * np.arange(400), np.random.default_rng(0)
+    rows = [",".join(["t", "u1", "u2", "u3", "u4", "p", "q", "r"])]
+    rows += [
+        ",".join(f"{v:.6g}" for v in (k, *(top * rng.uniform(0.3, 0.8, 4)), *rng.normal(size=3)))
+        for k in t
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    verdict = inspect_log(tmp_path / "a.csv").verdict
+    assert verdict.startswith("usable for a fit")
+    assert ("say what is u = 0 and u = 1" in verdict) == said

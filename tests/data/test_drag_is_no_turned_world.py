@@ -86,3 +86,12 @@ def test_drag_is_no_delay_of_the_velocity() -> None:
 def test_a_delay_is_found_beside_drag() -> None:
     (fault,) = found(in_thick_air(late=0.25)).of("acceleration")
     assert fault.evidence["delay_s"] == pytest.approx(0.25, abs=0.06)
+
+
+def test_thrust_that_pushes_down_is_said_to_be_of_other_frames() -> None:
+    """Attitude, rates and motion of a simulator that counts z downwards, read as if upwards."""
+    raw = in_thick_air()
+    down = with_channels(raw, **{n: -raw.channels[n] for n in ("qy", "qz", "vy", "vz")})
+    (fault,) = found(down).of("acceleration")
+    assert fault.severity == "blocking" and "z is down" in fault.message
+    assert "frame = 'FRD/NED' in [columns.attitude]" in fault.fix

@@ -233,3 +233,10 @@ def test_a_rotor_speed_that_stands_still_is_no_other_order(tmp_path):
     log = columns(commands=True)
     log["omega2"] = np.full_like(log["omega2"], float(np.mean(log["omega2"])))
     assert not check([read_table(written(tmp_path, log), vehicle())], vehicle()).of("rotor_speeds")
+
+
+def test_speeds_before_the_motion_may_be_commands(tmp_path):
+    flight = read_table(written(tmp_path, columns(late=-0.04)), vehicle())
+    messages = [f.message for f in check([flight], vehicle()).of("alignment")]
+    (said,) = [m for m in messages if "motion follows the rotor speeds by" in m]
+    assert "or these are commands" in said

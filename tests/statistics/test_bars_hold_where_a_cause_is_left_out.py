@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.statistics.rivals import TOGETHER, Parabola, _form, averaged
+from greybox.statistics.rivals import TOGETHER, Parabola, _errors, _form, averaged
 
 N, NOISE, WORLDS = 400, 0.3, 200
 PRIOR = 1.0
@@ -242,3 +242,10 @@ def test_the_search_ends_after_so_many_causes():
     seen = averaged(at)
     assert seen.best is not None
     assert len(seen.best.causes) == TOGETHER
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_rounding_leaves_without_information_has_no_error_bar() -> None:
+    _, _, at = world(np.random.default_rng(3), 0.0)
+    indefinite = np.array([[-1e-9, 0.0], [0.0, 4.0]])
+    assert _errors(at, [0, 1], [2, 3], indefinite, np.zeros((2, 2))) == [np.inf, 0.5]

@@ -45,6 +45,12 @@ HALF_WINDOW = 0.05
 MOST_DRAG = 1.0
 """Share of its speed that the air takes from a craft in a second [1/s], at most."""
 
+DOWN = "z is down, in the body (FRD) and in the world (NED)"
+FRAMES_DOWN = (
+    "set frame = 'FRD/NED' in [columns.attitude], 'FRD' in [columns.rate], and 'NED' in "
+    "[columns.position] and [columns.velocity]; the order of the motors may then be right"
+)
+
 ABOUT_THRUST = {
     "ax = ay, ay = -ax": ((0.0, 1.0), (-1.0, 0.0)),
     "ax = -ay, ay = ax": ((0.0, -1.0), (1.0, 0.0)),
@@ -145,6 +151,8 @@ def _worlds(
     if measured:
         _, *others = _forces(quaternions, force)
         yield from others
+    else:
+        yield DOWN, FRAMES_DOWN, turned("rotate", quaternions, -force)
 
 
 def _forces(quaternions: FloatArray, force: FloatArray) -> Iterator[tuple[str, str, FloatArray]]:

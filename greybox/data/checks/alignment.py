@@ -266,7 +266,9 @@ def _said(evidence: dict[str, float], drive: str, dt: float, commanded: bool) ->
         return f"{drive} are logged late, by {lags}"
     # A controller that answers to gusts and noise makes commands that seem to come sooner.
     said = f"motion follows {drive} by {lags}"
-    return f"{said} (often too short under feedback: a fit finds the lag)" if commanded else said
+    if commanded:
+        return f"{said} (often too short under feedback: a fit finds the lag)"
+    return f"{said} (speeds push at once: the sensors are filtered, or these are commands)"
 
 
 def _lift_lag(view: View) -> float | None:
