@@ -19,6 +19,7 @@ from greybox.baselines.lstm import LSTMModel, WindowedNetwork
 from greybox.baselines.regressors import Data, Descent, Lags, Space, segments_of
 from greybox.data import Segment
 from greybox.errors import DataError
+from greybox.statistics.spread import spread_of
 from greybox.symbolic import FloatArray
 
 HORIZON = 50
@@ -90,9 +91,9 @@ def train_lstm(
     target, base = (y - z[:, :n_y], zv[:, :n_y]) if s.increments else (y, np.zeros_like(yv))
     scaling = {
         "input_mean": z.mean(axis=0),
-        "input_scale": _spread(z),
+        "input_scale": spread_of(z),
         "target_mean": target.mean(axis=0),
-        "target_scale": _spread(target),
+        "target_scale": spread_of(target),
     }
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -103,7 +104,7 @@ def train_lstm(
             x = _single(sequences(lags, (z - scaling["input_mean"]) / scaling["input_scale"]))
             t = _single((target - scaling["target_mean"]) / scaling["target_scale"])
             xv = _single(sequences(lags, (zv - scaling["input_mean"]) / scaling["input_scale"]))
-            scales = _single(scaling["target_scale"] / _spread(y))
+            scales = _single(scaling["target_scale"] / spread_of(y))
             wanted = _single((yv - base - scaling["target_mean"]) / scaling["target_scale"])
             best, report = descend(network, x, t, xv, wanted, scales, s, progress)
     finally:
@@ -252,9 +253,3 @@ def sequences(lags: Lags, x: FloatArray) -> FloatArray:
 def _single(values: FloatArray) -> torch.Tensor:
     """Single precision: half the time, and far finer than what the noise lets a network learn."""
     return torch.from_numpy(values.astype(np.float32))
-
-
-def _spread(values: FloatArray) -> FloatArray:
-    """Standard deviation of every column, 1 for one that does not move."""
-    spread = values.std(axis=0)
-    return np.where(spread > 1e-12 * (1.0 + np.abs(values).max(axis=0)), spread, 1.0)

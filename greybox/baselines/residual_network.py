@@ -31,6 +31,7 @@ from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.estimation.ahead import Between, run_ahead
 from greybox.frames import numeric
+from greybox.statistics.spread import spread_of
 from greybox.symbolic import FloatArray
 from greybox.validation.groups import GROUPS, error_vectors
 from greybox.validation.open_loop import GroupReader, IntArray
@@ -237,7 +238,7 @@ def train_residual(
     x, t = _lessons(physics, train, s)
     xv, tv = _lessons(physics, validation, s)
     flat = x.reshape(-1, x.shape[-1])
-    middle, scale, size = flat.mean(axis=0), flat.std(axis=0) + 1e-9, t.std(axis=0) + 1e-9
+    middle, scale, size = flat.mean(axis=0), spread_of(flat), spread_of(t)
     n_z, n_y = x.shape[-1], t.shape[1]
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

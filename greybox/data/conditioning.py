@@ -213,6 +213,7 @@ def _placed(part: Part, slots: npt.NDArray[np.int64], dt: float, flight: str) ->
             channels=columns,
             flight=flight,
             extra=others,
+            step=float(f"{dt:.12g}"),
         )
     ]
 
@@ -252,7 +253,8 @@ def _resampled(
         q /= np.linalg.norm(q, axis=1, keepdims=True)
         out.update({k: q[:, j] for j, k in enumerate(attitude)})
     others = {k: held(t, v, grid) for k, v in extra.items()}
-    return [Segment(t=grid, channels=out, flight=flight, extra=others)]
+    step = float(f"{dt:.12g}")
+    return [Segment(t=grid, channels=out, flight=flight, extra=others, step=step)]
 
 
 def _with_drive(

@@ -4,7 +4,7 @@ filled-in number."""
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -62,6 +62,18 @@ def steps_of(t: FloatArray) -> tuple[float, float]:
     return dt, float(np.abs(t - (t[0] + dt * np.arange(t.size))).max())
 
 
+def _told_by(t: FloatArray, dt: float) -> float:
+    """The sample time `dt` [s] of stamps `t` (N,), rounded to 12 digits; the roundest one, or rate,
+    that stamps of this size cannot tell from it (a double holds the time since 1970 to 0.2 us)."""
+    sure = float(np.spacing(np.abs(t).max())) / (t.size - 1)
+    if sure > 0.5e-12 * dt:
+        for figures in range(1, 12):
+            for found in (float(f"{dt:.{figures}g}"), 1.0 / float(f"{1.0 / dt:.{figures}g}")):
+                if abs(found - dt) <= sure:
+                    return float(f"{found:.12g}")
+    return float(f"{dt:.12g}")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Segment(Shown):
     """Samples at t_0 + k dt. All arrays are (N,), read-only copies; NaN = missing.
@@ -69,8 +81,10 @@ class Segment(Shown):
     `t` [s] is uniform (float64); `channels` are canonical names in SI units (a model of the user's
     own may use any names); `extra` are the log's unknown columns, as they came (float64, or text).
     `earlier` are channels of the samples just before t_0, (M,) each, where the segment was cut out
-    of a longer one: commands that a delay still has to deliver. Raises `DataError` where shapes do
-    not fit, the clock is not uniform, a value is infinite, or there are fewer than two samples.
+    of a longer one: commands that a delay still has to deliver. `step` [s] is dt, where it is known
+    better than large stamps tell it; what they contradict is not believed. Raises `DataError` where
+    shapes do not fit, the clock is not uniform, a value is infinite, or there are fewer than two
+    samples.
     """
 
     t: FloatArray
@@ -78,6 +92,7 @@ class Segment(Shown):
     flight: str = "flight"
     extra: Mapping[str, Column] = field(default_factory=dict)
     earlier: Mapping[str, FloatArray] = field(default_factory=dict)
+    step: float = 0.0
 
     def __post_init__(self) -> None:
         n = int(np.size(self.t))
@@ -124,6 +139,8 @@ class Segment(Shown):
         earlier = {
             k: floats(v, length, f"earlier {k}", self.flight) for k, v in self.earlier.items()
         }
+        if not abs(self.step - dt) * (n - 1) <= CLOCK_TOLERANCE * dt:
+            object.__setattr__(self, "step", _told_by(t, dt))
         object.__setattr__(self, "earlier", MappingProxyType(earlier))
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "channels", MappingProxyType(channels))
@@ -136,10 +153,11 @@ class Segment(Shown):
             "flight": self.flight,
             "extra": dict(self.extra),
             "earlier": dict(self.earlier),
+            "step": self.step,
         }
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        for name, value in ({"earlier": {}} | state).items():
+        for name, value in ({"earlier": {}, "step": 0.0} | state).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
 
@@ -150,10 +168,8 @@ class Segment(Shown):
 
     @property
     def dt(self) -> float:
-        """Sample time [s], rounded to 12 digits so that segments of one clock agree exactly."""
-        return (
-            float(f"{(self.t[-1] - self.t[0]) / (self.n - 1):.12g}") if self.n > 1 else float("nan")
-        )
+        """Sample time [s], of 12 digits; segments of one clock agree exactly."""
+        return self.step
 
     @property
     def duration(self) -> float:
@@ -226,6 +242,7 @@ class Segment(Shown):
             flight=self.flight,
             extra={k: v[part] for k, v in self.extra.items()},
             earlier=earlier,
+            step=self.step,
         )
 
     def between(self, t0: float, t1: float) -> Segment:
@@ -238,9 +255,7 @@ class Segment(Shown):
         kept, earlier = (
             {k: v for k, v in d.items() if k not in names} for d in (self.channels, self.earlier)
         )
-        return Segment(
-            t=self.t, channels=kept, flight=self.flight, extra=self.extra, earlier=earlier
-        )
+        return replace(self, channels=kept, earlier=earlier)
 
     def replace(self, channels: Mapping[str, npt.ArrayLike]) -> Segment:
         """A copy with these channels set or added, (N,) each."""
@@ -248,6 +263,4 @@ class Segment(Shown):
             **self.channels,
             **{k: np.asarray(v, dtype=np.float64) for k, v in channels.items()},
         }
-        return Segment(
-            t=self.t, channels=merged, flight=self.flight, extra=self.extra, earlier=self.earlier
-        )
+        return replace(self, channels=merged)

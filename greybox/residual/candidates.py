@@ -24,6 +24,7 @@ from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
 from greybox.residual.training_report import TrainedGP, TrainingDocument
 from greybox.residual.weight_space import Candidate
+from greybox.statistics.spread import spread_of
 from greybox.symbolic import BoolArray, FloatArray, evaluate
 
 BROAD = 3.0
@@ -129,7 +130,7 @@ def feature_candidates(
     """
     of = scaled_as or seen
     middle = of.z.mean(axis=0) if is_centred(learner) else np.zeros(of.z.shape[1])
-    spread, size = _spread(of.z), _spread(of.y)
+    spread, size = spread_of(of.z), spread_of(of.y)
     x = (seen.z - middle) / spread
     told = learner.of(seen.inputs.names) if isinstance(learner, LooksBack) else learner
     try:
@@ -203,15 +204,10 @@ def _side_by_side(learner: Learner, members: list[ca.Function]) -> ca.Function:
     return ca.Function("phi", [s], [ca.vertcat(*(phi(s) for phi in members))])
 
 
-def _spread(values: FloatArray) -> FloatArray:
-    spread = values.std(axis=0)
-    return np.where(spread > 0, spread, 1.0)
-
-
 def broad_posterior(seen: Discrepancy, *, points: int, seed: int) -> GPPosterior:
     """A Gaussian process with a broad linear-plus-SE kernel, ready for `fit_open_loop` (its weights
     are still zero)."""
-    mean, scale, size = seen.z.mean(axis=0), _spread(seen.z), _spread(seen.y)
+    mean, scale, size = seen.z.mean(axis=0), spread_of(seen.z), spread_of(seen.y)
     n_in, n_out = seen.z.shape[1], seen.y.shape[1]
     kernel = Kernel(
         family="se",

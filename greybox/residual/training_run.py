@@ -20,6 +20,7 @@ from greybox.residual.options import GPOptions
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import IntArray, place_points, stratified
 from greybox.residual.training_rows import Rows
+from greybox.statistics.spread import spread_of
 from greybox.symbolic import BoolArray, FloatArray, Layout
 
 Progress = Callable[[str, float], None]
@@ -85,9 +86,9 @@ class _Standardised:
 
     @classmethod
     def of(cls, rows: Rows, prior_mean: str) -> _Standardised:
-        z_mean, z_scale = rows.z.mean(0), _scale(rows.z.std(0))
+        z_mean, z_scale = rows.z.mean(0), spread_of(rows.z)
         y_mean = rows.y.mean(0) if prior_mean == "constant" else np.zeros(rows.y.shape[1])
-        y_scale = _scale(np.sqrt(np.mean((rows.y - y_mean) ** 2, axis=0)))
+        y_scale = spread_of(rows.y) if prior_mean == "constant" else _size(rows.y)
         return cls(
             x=(rows.z - z_mean) / z_scale,
             y=(rows.y - y_mean) / y_scale,
@@ -250,8 +251,10 @@ def _posterior(
     return replace(posterior, domain=replace(posterior.domain, distance=tuple(quantiles)))
 
 
-def _scale(values: FloatArray) -> FloatArray:
-    return np.where(values > 0, values, 1.0)
+def _size(values: FloatArray) -> FloatArray:
+    """Root mean square of every column, 1 of one that is zero."""
+    size = np.sqrt(np.mean(values**2, axis=0))
+    return np.where(size > 0, size, 1.0)
 
 
 def _null_output(hyper: Hyper, mean_square: float) -> TrainedOutput:

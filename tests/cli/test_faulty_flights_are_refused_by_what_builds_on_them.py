@@ -99,6 +99,13 @@ def test_a_vehicle_file_that_no_craft_is_like_is_refused_by_all_alike(command, c
     assert not Path("none").exists()
 
 
+def test_check_says_once_where_a_vehicle_file_is_wrong(capsys):
+    heavy()
+    assert main(["check", "--vehicle", "heavy.toml", "sound.csv"]) == 1
+    out = capsys.readouterr().out
+    assert "blocking heavy.toml [vehicle] mass: no craft of this size has this mass" in out
+
+
 def test_a_vehicle_file_that_is_accepted_is_fitted_to(capsys):
     heavy()
     main(f"fit {HEAVY} --manual --accept vehicle --max-iterations 1 --out even_so".split())

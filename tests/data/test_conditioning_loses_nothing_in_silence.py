@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greybox.data import RawLog, read_log, read_table
+from greybox.data import Dataset, RawLog, dataset_from_arrays, read_log, read_table
 from greybox.data.conditioning import condition
 from greybox.errors import DataError
 from greybox.examples import flight_path, flight_paths, vehicle_path
@@ -369,3 +369,26 @@ def test_merged_streams_say_so_and_a_gyro_without_a_rhythm_is_resampled_as_befor
     assert "250 Hz" in note
     (note,) = [n for n in condition(merged(0.0015)[0], trim=False).notes if n.startswith("clock")]
     assert "not uniform" in note
+
+
+@pytest.mark.parametrize("begins", [0.0, 4e4, 1.7e9])
+@pytest.mark.parametrize("rate", [None, 300.0, 123.0])
+def test_a_log_has_one_sample_time_whatever_its_clock_counts_from(begins: float, rate):
+    """A double holds the seconds since 1970 to 0.24 us: stretches of other lengths tell the sample
+    time apart by 1e-10 s."""
+    t = np.arange(600) * 0.01
+    kept = (t < 1.0) | (t > 1.6)
+    raw = raw_log(t[kept] + begins, p=np.sin(t[kept]), u1=np.full(kept.sum(), 0.5))
+    flight = condition(raw, trim=False, rate=rate)
+    assert len(flight.segments) == 2
+    assert flight.dt == float(f"{1 / (rate or 100.0):.12g}")
+    first, last = Dataset(flights=(flight,)).split_by_time(0.05)
+    assert first.flights[0].dt == last.flights[0].dt == flight.dt
+    plain = dataset_from_arrays(t + begins, {"p": np.sin(t)})
+    assert {p.flights[0].dt for p in plain.split_by_time(0.03)} == {0.01}
+
+
+def test_a_sample_time_that_the_stamps_contradict_is_not_believed():
+    (segment,) = dataset_from_arrays(np.arange(9) * 0.01, {"p": np.zeros(9)}).segments
+    assert replace(segment, t=2 * segment.t).dt == 0.02
+    assert replace(segment, t=np.arange(9) / 300).dt == float(f"{1 / 300:.12g}")

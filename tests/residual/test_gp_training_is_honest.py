@@ -9,6 +9,8 @@ import pytest
 pytest.importorskip("gpytorch")
 from greybox.errors import ModelError, UnknownNameError
 from greybox.residual import hyper_parameters, torch_gp
+from greybox.residual.candidates import broad_posterior
+from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.judgement import CHANCE, better_by_chance
 from greybox.residual.kernels import Kernel
 from greybox.residual.train import train_gp
@@ -95,6 +97,23 @@ def test_scalings_change_nothing():
     mean_b, variance_b = b.evaluate(z * [1e3, 1e-3] + 7.0)
     np.testing.assert_allclose(mean_b * 1e4, mean_a, atol=1e-5 * np.abs(mean_a).max())
     np.testing.assert_allclose(variance_b * 1e8, variance_a, rtol=1e-3)
+
+
+def test_an_input_that_stood_still_changes_nothing_where_it_moves_a_little():
+    """By rounding, the standard deviation of a column of 15.8 is not zero."""
+    z, y, _, group = flights()
+    z[:, 1] = 15.8
+    learned = train(z, y[:, :1], groups=group, hold_out=0).posterior
+    broad = broad_posterior(
+        Discrepancy(
+            inputs=layout("z", 2), outputs=layout("y", 1), z=z, y=y[:, :1], flights=tuple(group)
+        ),
+        points=20,
+        seed=0,
+    )
+    assert learned.input_scale[1] == broad.input_scale[1] == 1.0
+    before = learned.evaluate_mean(z)
+    np.testing.assert_allclose(learned.evaluate_mean(z + np.array([0.0, 0.01])), before, atol=0.01)
 
 
 @pytest.mark.parametrize("method", ["exact", "svgp"])

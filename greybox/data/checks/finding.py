@@ -41,6 +41,12 @@ class Finding:
     evidence: Mapping[str, float] = field(default_factory=dict)
     fix: str = ""
 
+    @property
+    def said(self) -> str:
+        """Check, place and message; messages that begin with the place say it once."""
+        begins = self.message.startswith(f"{self.where}: ")
+        return f"[{self.check}] {'' if begins else f'{self.where}: '}{self.message}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Unjudged:
@@ -192,9 +198,9 @@ class CheckReport(Shown):
             if missing or (f.severity == "warning" and f.check != "excitation"):
                 groups.setdefault((f.check, f.where), []).append(f)
         out = []
-        for (check, where), same in groups.items():
+        for same in groups.values():
             more = " (greybox check lists the others)" if len({f.message for f in same}) > 1 else ""
-            out.append(f"{_flights(same)} [{check}] {where}: {same[0].message}{more}")
+            out.append(f"{_flights(same)} {same[0].said}{more}")
         return [*out, *self.unchecked_order]
 
     @property
@@ -246,8 +252,7 @@ class CheckReport(Shown):
         for same in self._alike():
             finding = same[0]
             word = "accepted" if finding in self.overruled else finding.severity
-            said = f"[{finding.check}] {finding.where}: {finding.message}"
-            lines.append(f"{word:8s} {_flights(same)} {said}")
+            lines.append(f"{word:8s} {_flights(same)} {finding.said}")
             numbers = ", ".join(f"{k} = {v:.4g}" for k, v in finding.evidence.items())
             if numbers and finding.severity != "info":
                 lines.append(f"         {numbers}")

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.residual.learners.learner import Features
+from greybox.statistics.spread import spread_of
 from greybox.symbolic import Expr, FloatArray
 
 THRESHOLDS = (0.05, 0.15, 0.4)
@@ -38,7 +39,7 @@ class SparseLaw:
         """One candidate per threshold."""
         terms = _library(x.shape[1])
         columns = np.stack([np.asarray(t(list(x.T))) * np.ones(len(x)) for t in terms], axis=1)
-        spread = np.where(columns.std(axis=0) > 0, columns.std(axis=0), 1.0)
+        spread = spread_of(columns)
         out: dict[str, Features] = {}
         for threshold in THRESHOLDS:
             kept = _kept(columns / spread, y, threshold, points)
