@@ -148,9 +148,9 @@ def profile(
     grid.
 
     `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has
-    its own value. The interval at `level` ends where the likelihood ratio says so, of which the
-    standard error of the fit says how much it is worth; an end is the bound where the profile
-    reaches that first, and infinite where the data do not end it. Raises `UnknownNameError`, and
+    its own value. The interval at `level` ends where the likelihood ratio says so; the
+    standard error of the fit tells how much that ratio is worth. An end is the bound where the
+    profile reaches that first, and infinite where the data do not end it. Raises `UnknownNameError`, and
     `ModelError` for the fit of a model with a learned part.
     """
     from greybox.estimation.profile import profile as along

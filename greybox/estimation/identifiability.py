@@ -88,10 +88,7 @@ def unidentified(
             break
         step = v / size  # change of the parameters along the direction
         relative = step / changed[seen]
-        largest = np.abs(relative).max()
-        if not largest > 0:
-            continue
-        if value > ROUNDED * eigenvalues[-1] and np.sqrt(value) > FELT * largest:
+        if _felt(value, np.abs(relative).max(), eigenvalues[-1]):
             continue
         weights = relative / relative[np.argmax(np.abs(relative))]
         part = [j for j in np.argsort(-np.abs(weights)) if abs(weights[j]) >= SHARE]
@@ -108,6 +105,14 @@ def unidentified(
             )
         )
     return tuple(out)
+
+
+def _felt(eigenvalue: float, largest: float, most: float) -> bool:
+    """Whether data feel a change of all of the parameter that moves most along a direction of unit
+    length, where rounding of the `most` known one leaves that to say."""
+    return not largest > 0 or bool(
+        eigenvalue > ROUNDED * most and np.sqrt(eigenvalue) > FELT * largest
+    )
 
 
 def _words(names: Sequence[str], weights: Sequence[float], told: bool) -> str:

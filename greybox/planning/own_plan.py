@@ -168,13 +168,7 @@ def plan_own(
         names = next(iter(told.values())).names
         chosen = choose(told, count, Score(subject, names))
         shapes = [candidates[c][0] * candidates[c][1] for c in chosen]
-        whole = run.fitting(shapes)
-        if whole is None:
-            raise FitError(
-                "the pieces keep the limits one by one, but not one after the other",
-                fix="ranges whose middle holds the outputs where they are, fewer --seconds, or "
-                "wider --limit",
-            )
+        whole = _one_after_the_other(run, shapes)
         log = run.record(shapes, whole)
         found = information(subject, log)
         ends = [
@@ -196,6 +190,18 @@ def plan_own(
         efficiency=efficiency(subject, found, naive),
         warnings=(*warnings, *left_over(seconds, piece)),
     )
+
+
+def _one_after_the_other(run: _Runner, shapes: Sequence[FloatArray]) -> float:
+    """The share of the chosen signals that keeps the limits together."""
+    whole = run.fitting(list(shapes))
+    if whole is None:
+        raise FitError(
+            "the pieces keep the limits one by one, but not one after the other",
+            fix="ranges whose middle holds the outputs where they are, fewer --seconds, or "
+            "wider --limit",
+        )
+    return whole
 
 
 def _demand_samples(seconds: float, piece: float, step: float) -> None:
