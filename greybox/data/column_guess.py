@@ -19,8 +19,8 @@ from greybox.data.readers.mapping import SCHEMA, TIME_UNITS, mapping_text
 from greybox.files import Json
 from greybox.frames import GRAVITY
 
-_AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2, "3": 3}
-"""A fourth is none: w0 to w3 are four rotors, and no rates."""
+_AXES = ({"x": 0, "y": 1, "z": 2}, {str(i): i for i in range(4)})
+"""By letters, and by numbers: of these a fourth is none, w0 to w3 are four rotors and no rates."""
 _RATES_OF_PLACE = {f"{axis}{link}dot": i for i, axis in enumerate("xyz") for link in ("", "_")}
 _WORDS = {
     "specific_force": r"acc\w*|a|specificforce|linearacceleration",
@@ -38,6 +38,9 @@ _ODOMETRY = re.compile(r"twist\W+twist\W+linear\W")
 """The velocity of ROS's nav_msgs/Odometry, which is along the axes of the body."""
 _ROTOR = r"rotors?"
 """A word of commands that may mean a speed, too."""
+_OPEN = r"controls?|ctrl|w"
+"""Words of rotors that may mean a torque or a weight, too, which a rotor's number is not: that has
+no sign."""
 _AFTER = rf"pwm|cmd|command|output|e?rpm|speed|{_WORDS['setpoint']}"
 """Words that may stand behind the number of a motor or an axis: motor1_pwm, x_ref."""
 _ASKED = rf"cmd|command|actions?|{_WORDS['setpoint']}"
@@ -140,7 +143,7 @@ def guess_columns(
     speeds = _along_the_body(columns)
     attitudes = list(_attitudes({n: v for n, v in columns.items() if n not in speeds}))
     turned = {n for _, names in attitudes for n in names}
-    for stem, members in _families(columns, _AXES):
+    for stem, members in (family for ends in _AXES for family in _families(columns, ends)):
         if set(members) == {0, 1, 2}:
             lone = not stem and _bare(members[0]).lower() == "x" and members[0] not in turned
             group = "position" if lone else _meant(stem)
@@ -191,6 +194,8 @@ def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
         if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
             group = "rotor_speed"
         if group == "command" and not _commanded(stem, members.values(), columns):
+            continue
+        if _says(stem, _OPEN) and not _known(members.values(), columns).min(initial=0.0) >= 0.0:
             continue
         if _among(stem, _ASKED) and (group == "rotor_speed" or (not group and _SPEED.search(stem))):
             group = "command"
@@ -378,8 +383,13 @@ def _commanded(stem: str, names: Iterable[str], columns: Mapping[str, FloatArray
     said = any(re.fullmatch(_NUMBERED["command"], word) for word in before)
     if said or not re.fullmatch(_ROTOR, last) or _unit_of(names[0]) in _UNITS["command"]:
         return True
-    known = np.concatenate([columns[n][np.isfinite(columns[n])] for n in names])
+    known = _known(names, columns)
     return bool(known.size) and known.min() >= 0.0 and known.max() <= 100.0
+
+
+def _known(names: Iterable[str], columns: Mapping[str, FloatArray]) -> FloatArray:
+    """All numbers of columns, one behind the other."""
+    return np.concatenate([columns[n][np.isfinite(columns[n])] for n in names])
 
 
 def _meant(stem: str) -> str:

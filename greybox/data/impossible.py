@@ -207,11 +207,13 @@ def _rounding(block: FloatArray) -> FloatArray:
     """Usual distance (d,) from the line between their neighbours of values (n, d) that are right
     but for rounding: a sensor in coarse steps stands still between two, and then one step is no
     motion. The step is the smallest between values that come more than once, as a lone one may
-    not."""
-    steps = np.zeros(block.shape[1])
+    not, where most samples have such a value: faults repeat theirs on a sensor without steps."""
+    steps = np.full(block.shape[1], np.inf)
     for j, values in enumerate(block.T):
         levels, count = np.unique(values, return_counts=True)
-        steps[j] = np.min(np.diff(levels[count > 1]), initial=np.inf)
+        again = count > 1
+        if 2 * count[again].sum() > values.size:
+            steps[j] = np.min(np.diff(levels[again]), initial=np.inf)
     return np.where(np.isfinite(steps), ROUNDING * steps, 0.0)
 
 

@@ -501,6 +501,7 @@ def test_paths_of_messages_are_told_by_their_last_words(paths: dict[str, str]) -
     columns |= {f"/cmd_vel/twist/linear/{a}": noise.normal(size=50) for a in "xyz"}
     columns |= {f"cmd/{a}": noise.normal(size=50) for a in ("roll", "pitch", "yaw")}
     columns |= {names["attitude"][0]: np.ones(50)}
+    columns |= {n: np.linspace(0.3, 0.7, 50) for n in names["command"]}  # of motors
     guesses = {g.group: g for g in guess_columns(columns)}
     assert {group: g.fields for group, g in guesses.items()} == names
     assert guesses["velocity"].frame == ("FLU" if paths is ROS else "")
@@ -526,3 +527,22 @@ def test_commands_without_a_range_are_said_to_need_one(
     verdict = inspect_log(tmp_path / "a.csv").verdict
     assert verdict.startswith("usable for a fit")
     assert ("say what is u = 0 and u = 1" in verdict) == said
+
+
+@pytest.mark.parametrize(
+    ("stem", "group"), [("w", "rate"), ("pos_", "position"), ("acc_", "specific_force")]
+)
+def test_numbers_beside_axes_take_nothing_from_them(stem: str, group: str) -> None:
+    axes = tuple(f"{stem}{a}" for a in "xyz")
+    columns = {n: np.linspace(-1.0, 1.0, 50) for n in axes}
+    columns |= {f"{stem}{i}": np.linspace(400.0, 500.0, 50) for i in range(1, 5)}
+    guesses = {g.group: g.fields for g in guess_columns(columns)}
+    assert guesses[group] == axes
+
+
+@pytest.mark.parametrize(
+    "stem", ["actuator_controls_0.control", "torque_ctrl", "rates_control", "nn_w"]
+)
+def test_what_has_a_sign_drives_no_rotor(stem: str) -> None:
+    signed = {f"{stem}[{i}]": np.linspace(-1.0, 1.0, 50) for i in range(4)}
+    assert guess_columns(signed) == ()

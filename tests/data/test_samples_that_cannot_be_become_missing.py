@@ -203,6 +203,18 @@ def test_a_gyro_in_coarse_steps_that_flickers_between_two_of_them_is_sound(log):
     assert (removed.count, removed.first_time) == (1, t[700])
 
 
+@pytest.mark.parametrize("low", [-1.0, 0.0])
+def test_spikes_that_repeat_two_values_are_no_steps_of_a_sensor(log, low):
+    """Full scale of both signs, or full scale and nothing, as a bus has them."""
+    n, rng = 2000, np.random.default_rng(0)
+    t = 0.005 * np.arange(n)
+    rates = {k: np.sin(2.0 * t + i) + 0.02 * rng.normal(size=n) for i, k in enumerate("pqr")}
+    rates["p"][[300, 700, 1100, 1500]] = 34.9065850 * np.array([1.0, low, 1.0, low])
+    struck = replace(log, t=t, rows=np.arange(1, n + 1), channels=rates)
+    (removed,) = without_impossible(struck, vehicle()).removed
+    assert removed.count == (4 if low else 2)
+
+
 def test_what_was_taken_is_among_the_decisions_and_can_be_kept(log):
     speeds = log.channels["omega2"].copy()
     speeds[100] = 33_000.0
