@@ -121,6 +121,48 @@ def test_what_is_no_date_stays_text(tmp_path, cell):
     assert read_csv(path).columns["Timestamp"].dtype.kind == "U"
 
 
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("#t,x\n2026-11-30T10:00:00,1\n", ["t", "x"]),
+        ("#mode,t\nHOLD,0\nHOLD,1\n", ["mode", "t"]),
+        ("# t,x\n,1\n0,1\n", ["t", "x"]),
+        ('# t,x\n"0","1"\n', ["t", "x"]),
+        ("# t, x, y\n0 1 2\n1 2 3\n", ["t", "x", "y"]),
+        ("# a flight, of two\nt,x,y\n0,1,2\n", ["t", "x", "y"]),
+        ("#,t\n1,0\n2,1\n", ["unnamed1", "t"]),
+        ("# one, two, three\nt,x,y\n0,1,2\n", ["t", "x", "y"]),
+    ],
+)
+def test_a_comment_is_the_header_of_the_values_below_it(tmp_path, text, names):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    table = read_csv(path)
+    below = text.split("\n").index(next(r for r in text.split("\n") if "x" in r or ",t" in r)) + 1
+    assert (list(table.columns), table.rows[0]) == (names, below + 1)
+
+
+def test_commas_are_decimals_where_no_number_has_a_point(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t;v;what;on\n0,5;12,25;a,b;01.12.2026\n1,5;1e-3;v1.2;01.12.2026\n")
+    columns = read_csv(path).columns
+    assert columns["t"].tolist() == [0.5, 1.5] and columns["v"].tolist() == [12.25, 1e-3]
+    assert columns["what"].tolist() == ["a,b", "v1.2"]
+
+
+@pytest.mark.parametrize("first", ["0", "0,25"])
+def test_thousands_are_never_taken_for_decimals(tmp_path, first):
+    path = tmp_path / "log.csv"
+    path.write_text(f"t;rpm\n{first};12,345\n1;11,000\n")
+    if first == "0,25":
+        assert read_csv(path).columns["rpm"].tolist() == [12.345, 11.0]
+        return
+    with pytest.raises(DataError, match="may be a number with three decimals"):
+        read_csv(path)
+    path.write_text("t;rpm\n0.5;12,345\n1.5;11,000\n")
+    assert read_csv(path).columns["rpm"].dtype.kind == "U"
+
+
 def test_a_header_whose_quote_is_not_closed_is_a_clear_error(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text('t,"p,q\n1,2,3\n')

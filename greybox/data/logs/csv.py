@@ -25,7 +25,8 @@ from greybox.errors import DataError
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _SPACES = " "
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?) ?(Z|[+-]\d\d:?\d\d)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?) ?(Z|[+-]\d\d:?\d\d)?")
 _SEPARATORS = (";", "\t", "|")
 """What parts columns, where a header has at least as many of them as cells between commas."""
 
@@ -45,14 +46,13 @@ def read_csv(path: str | os.PathLike[str]) -> Table:
         raise DataError(
             "the file is empty", where=where, fix="export the log again, with a header row"
         )
-    first, names = _begins([lines[i] for i in numbers])
-    separator = _separator(names)
-    header = _header(names, separator, where, numbers[first - 1] + 1)
+    first, names, separator = _begins([lines[i] for i in numbers])
+    header = _header(names, where, numbers[first - 1] + 1)
     body = [lines[i] for i in numbers[first:]]
     if not body:
         raise DataError("a header but no rows", where=where, fix="export the log again")
-    if separator != "," and not any("." in line for line in body):
-        body = [line.replace(",", ".") for line in body]
+    if separator != ",":
+        body = _with_points(body, separator, where)
     rows = np.array(numbers[first:], dtype=np.int64) + 1
     columns = _numeric(body, header, separator)
     if columns is None:
@@ -60,13 +60,45 @@ def read_csv(path: str | os.PathLike[str]) -> Table:
     return Table(columns=columns, rows=rows, source=Path(path).name, sha256=digest)
 
 
-def _begins(lines: Sequence[str]) -> tuple[int, str]:
-    """The index of the first row of values, and the header: the first line that is no comment, or
-    the last comment where that holds values."""
+def _begins(lines: Sequence[str]) -> tuple[int, list[str], str]:
+    """The index of the first row of values, the cells of the header, and what parts the rows. The
+    header is the last of the comments where the next line has as many cells and values among them,
+    else the first line that is no comment."""
     first = next((i for i, line in enumerate(lines) if not _comment(line)), len(lines))
-    if first and (first == len(lines) or _is_number(re.split(r"[,;\t|\s]", lines[first])[0])):
-        return first, lines[first - 1].strip().lstrip("#").strip()
-    return first + 1, lines[first]
+    if first:
+        comment = lines[first - 1].strip().lstrip("#").strip()
+        own = _separator(comment)
+        names = _split(comment, own)
+        if first == len(lines):
+            return first, names, own
+        for separator in dict.fromkeys((own, _SPACES)):
+            row = _split(lines[first], separator)
+            if len(row) == len(names) and any(_value(c) for c in row):
+                return first, names, separator
+    separator = _separator(lines[first])
+    return first + 1, _split(lines[first], separator), separator
+
+
+def _value(cell: str) -> bool:
+    """Whether a cell is none of a header."""
+    return not cell or _is_number(cell.replace(",", ".")) or _DATE.fullmatch(cell) is not None
+
+
+def _with_points(body: list[str], separator: str, where: str) -> list[str]:
+    """The rows with points for decimal commas, where no number has a point."""
+    end = r"\s" if separator == _SPACES else re.escape(separator)
+    number = re.compile(rf"(?<![^{end}\n])(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)(?![^{end}\n])")
+    text = "\n".join(body)
+    with_comma = {f"{a},{b}".strip() for a, b in number.findall(text)}
+    if not with_comma or re.search(rf"(?<![^{end}\n])\s*[-+]?\d*\.\d*\s*(?![^{end}\n])", text):
+        return body
+    if all(_THOUSANDS.fullmatch(n) for n in with_comma):
+        raise DataError(
+            f"{min(with_comma)} may be a number with three decimals, or one of thousands",
+            where=where,
+            fix="export the log with decimal points and without signs between thousands",
+        )
+    return number.sub(r"\1.\2", text).split("\n")
 
 
 def _comment(line: str) -> bool:
@@ -152,8 +184,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _header(line: str, separator: str, where: str, row: int) -> list[str]:
-    cells = _split(line, separator)
+def _header(cells: Sequence[str], where: str, row: int) -> list[str]:
     if all(_is_number(c) for c in cells):
         raise DataError(
             "no header row: the first row holds numbers",
@@ -236,11 +267,14 @@ def _dates(cells: Sequence[str]) -> npt.NDArray[np.float64] | None:
     zones = {match[2] for match in read if match}
     if not read or None in read or len(zones) > 1:
         return None
-    text = [match[1].replace(" ", "T") if (match := _DATE.fullmatch(c)) else "NaT" for c in cells]
+    text = [
+        match[1].replace(" ", "T").replace(",", ".") if (match := _DATE.fullmatch(c)) else "NaT"
+        for c in cells
+    ]
     try:
-        stamps = np.array(text, dtype="datetime64[ns]")
+        stamps = np.array(text, dtype="datetime64[us]")
     except ValueError:
         return None
     whole = stamps.astype("datetime64[s]")
-    seconds = whole.astype(np.float64) + (stamps - whole).astype(np.float64) * 1e-9
+    seconds = whole.astype(np.float64) + (stamps - whole).astype(np.float64) * 1e-6
     return np.where(np.isnat(stamps), np.nan, seconds)
