@@ -86,11 +86,13 @@ def _value(cell: str) -> bool:
 
 def _with_points(body: list[str], separator: str, where: str) -> list[str]:
     """The rows with points for decimal commas, where no number has a point."""
-    end = r"\s" if separator == _SPACES else re.escape(separator)
-    number = re.compile(rf"(?<![^{end}\n])(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)(?![^{end}\n])")
+    spaces = separator == _SPACES
+    end, pad = (r"\s", "") if spaces else (rf"{re.escape(separator)}\n", " *")
+    number = re.compile(rf"(?<![^{end}])({pad}[-+]?\d*),(\d+(?:[eE][-+]?\d+)?{pad})(?![^{end}])")
+    point = re.compile(rf"(?<![^{end}]){pad}[-+]?\d*\.\d*{pad}(?![^{end}])")
     text = "\n".join(body)
     with_comma = {f"{a},{b}".strip() for a, b in number.findall(text)}
-    if not with_comma or re.search(rf"(?<![^{end}\n])\s*[-+]?\d*\.\d*\s*(?![^{end}\n])", text):
+    if not with_comma or point.search(text):
         return body
     if all(_THOUSANDS.fullmatch(n) for n in with_comma):
         raise DataError(
