@@ -65,9 +65,14 @@ def idle_of(parameters: Mapping[str, float]) -> float:
         if is_motor(parameters.get(f"SIM_GZ_EC_FUNC{i}", 0.0)):
             low, high = (parameters.get(f"SIM_GZ_EC_{end}{i}", 0.0) for end in ("MIN", "MAX"))
             return low / high if 0.0 < low < high else 0.0
-    timers = (parameters.get(f"PWM_{b}_TIM{k}", 0.0) for b in ("MAIN", "AUX") for k in range(16))
     least = parameters.get("DSHOT_MIN", 0.0)
-    return least if any(t in DSHOT for t in timers) and 0.0 < least < 1.0 else 0.0
+    for bus in ("PWM_MAIN", "PWM_AUX"):
+        # A timer of outputs that drive no motor says nothing of the motors.
+        motors = any(is_motor(parameters.get(f"{bus}_FUNC{i}", 0.0)) for i in range(1, 17))
+        dshot = any(parameters.get(f"{bus}_TIM{k}", 0.0) in DSHOT for k in range(16))
+        if motors and dshot and 0.0 < least < 1.0:
+            return least
+    return 0.0
 
 
 def is_motor(function: float) -> bool:

@@ -138,8 +138,12 @@ def test_disarmed_outputs_are_zero_and_not_negative(tmp_path: Path) -> None:
     assert (raw.channels["u1"][:50] == 0).all()
 
 
+def motors_on(bus: str) -> dict[str, float]:
+    return {f"{bus}_FUNC{i}": 100 + i for i in (1, 2, 3, 4)}
+
+
 GAZEBO = {
-    **{f"SIM_GZ_EC_FUNC{i}": 100 + i for i in (1, 2, 3, 4)},
+    **motors_on("SIM_GZ_EC"),
     **{f"SIM_GZ_EC_MIN{i}": 150 for i in (1, 2, 3, 4)},
     **{f"SIM_GZ_EC_MAX{i}": 1000 for i in (1, 2, 3, 4)},
 }
@@ -148,10 +152,13 @@ GAZEBO = {
 @pytest.mark.parametrize(
     ("parameters", "idle"),
     [
-        ({"DSHOT_MIN": 0.055}, 0.0),
-        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -1}, 0.0),
-        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -4}, 0.055),
-        ({"DSHOT_MIN": 0.07, "PWM_AUX_TIM1": -3}, 0.07),
+        ({"DSHOT_MIN": 0.055, **motors_on("PWM_MAIN")}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -1, **motors_on("PWM_MAIN")}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -4, **motors_on("PWM_MAIN")}, 0.055),
+        ({"DSHOT_MIN": 0.07, "PWM_AUX_TIM1": -3, **motors_on("PWM_AUX")}, 0.07),
+        # timers of outputs that drive no motor
+        ({"DSHOT_MIN": 0.055, "PWM_AUX_TIM0": -5, **motors_on("UAVCAN_EC")}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_AUX_TIM0": -5, **motors_on("PWM_MAIN")}, 0.0),
         (GAZEBO, 0.15),
     ],
 )
