@@ -182,6 +182,32 @@ def test_a_running_motor_that_is_commanded_nothing_idles(
         assert (raw.channels[f"u{i}"][:20] == 0).all()
 
 
+@pytest.mark.parametrize("level", [0.6, 0.3])
+def test_outputs_to_gazebo_are_the_commands_of_the_same_flight(
+    tmp_path: Path, level: float
+) -> None:
+    """They are rotor speeds, of 150 + 850 u of 1000 rad/s those of actuator_motors."""
+    c = w.channels(rows=N)
+    sent = level + 0.3 * np.column_stack([c[f"u{i}"] for i in (1, 2, 3, 4)])
+    sent[:20] = 0.0  # disarmed
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        log.data = [(t, m) for t, m in log.data if m[3:5] not in (b"\1\0", b"\2\0")]
+        for name, value in GAZEBO.items():
+            log.parameter(name, value)
+        output = np.zeros((N, 16), np.float32)
+        output[:, :4] = 1000 * sent
+        fields = {"noutputs": np.full(N, 4, np.uint32), "output": output}
+        log.topic("actuator_outputs", stamps, fields, instance=2)
+
+    raw = read_table(with_change(tmp_path / "a.ulg", change, version="old"))
+    for i in (1, 2, 3, 4):
+        np.testing.assert_allclose(raw.channels[f"u{i}"], sent[:, i - 1], atol=1e-5)
+    said = [n for n in raw.notes if "actuator_outputs" in n]
+    assert any("speed 0..1000 rad/s" in n for n in said), said
+    assert not any("PWM" in n for n in said)
+
+
 def with_speeds(log: w.ULogWriter, stamps: np.ndarray) -> None:
     import struct
 
