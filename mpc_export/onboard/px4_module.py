@@ -83,4 +83,9 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         folder / "px4" / "README.md": "px4/README.md",
     }.items():
         write_atomic(path, board.text(text, **words))
-    return {"folder": "px4", "interval_us": round(1e6 * f.dt)}
+    return {
+        "folder": "px4",
+        "interval_us": round(1e6 * f.dt),
+        "note": f"u = idle + (1 - idle) control of actuator_motors, idle = {name.upper()}_IDLE: "
+        "set it as px4/README.md says",
+    }

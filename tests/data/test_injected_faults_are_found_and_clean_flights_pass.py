@@ -257,6 +257,21 @@ def test_saturated_commands_and_clipped_gyro():
     assert max(shares) > 0.1
 
 
+def test_a_floor_of_the_commands_above_u_min_is_told():
+    """The idle of a firmware: armed rotors get no less, while the vehicle file says 0."""
+    raw = real(*IMU)
+    names = ("u1", "u2", "u3", "u4")
+    u = np.column_stack([raw.channels[n] for n in names])
+    idle = float(np.nanquantile(u, 0.05))
+    assert idle > 0.05
+    floor = dict(zip(names, np.maximum(u, idle).T, strict=True))
+    said = check([with_channels(raw, **floor)], vehicle(IMU[0])).of("saturation")
+    assert any(f"same least value {idle:.4g}" in f.message for f in said)
+    for other in (raw, with_channels(raw, **dict(zip(names, np.round(u, 2).T, strict=True)))):
+        said = check([other], vehicle(IMU[0])).of("saturation")
+        assert not any("least value" in f.message for f in said)
+
+
 def test_a_peak_in_the_largest_of_few_steps_is_no_clipping():
     """A quiet axis of a coarse sensor, sampled often: it stays in the largest step for a while."""
     raw = real(*IMU)

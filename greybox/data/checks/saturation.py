@@ -18,6 +18,10 @@ way from it to the median: motion passes."""
 STEPS = 3
 """Those of at least so many steps of a coarse sensor: the top of a parabola stays in its topmost
 step for as long as in the next three."""
+ROTORS = 2
+"""A floor is the same of so many rotors; the least command of one alone is where it happened to
+be."""
+MORE = "fly with more headroom (lighter craft, full battery, gentler manoeuvres)"
 SENSORS = ("rate", "specific_force")
 
 
@@ -46,8 +50,9 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                 where=f"channel u{worst + 1} and others",
                 message=f"a command is at {what} for {100 * share:.1f} % of the flight",
                 evidence={"share": share, f"share_u{worst + 1}": float(mask[:, worst].mean())},
-                fix="fly with more headroom (lighter craft, full battery, gentler manoeuvres)",
+                fix=MORE,
             )
+    yield from _floor(view, actuator.u_min + tiny)
     log = view.increasing
     for group in SENSORS:
         for name in group_names(group):
@@ -70,6 +75,37 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                         fix="set a larger sensor range, or leave these cells empty",
                     )
                     break
+
+
+def _floor(view: View, known: float) -> Iterator[Finding]:
+    """A floor of the commands above `known`, the least of the vehicle file, as the idle of a
+    firmware: one exact value that several rotors share, more often than the next steps: else
+    commands grow fewer towards their least."""
+    log, drives = view.increasing, view.drive_names
+    if view.flight is None or not (view.commanded and view.drives) or len(drives) < ROTORS:
+        return
+    rows = np.zeros(log.n, dtype=bool)
+    for segment in view.flight.segments:
+        rows |= (log.t >= segment.t[0]) & (log.t <= segment.t[-1])
+    u = np.column_stack([log.channels[name][rows] for name in drives])
+    u = u[np.isfinite(u).all(axis=1)]
+    if not u.size or not known < (low := float(u.min())) < np.median(u):
+        return
+    above, at = np.unique(u)[1 : STEPS + 1], u == low
+    share, held = float(at.any(axis=1).mean()), at.any(axis=0)
+    heap = at.sum() > np.isin(u, above).sum()
+    if share > SHARE and held.sum() >= ROTORS and heap:
+        worst = int(np.argmax(at.mean(axis=0)))
+        yield Finding(
+            check="saturation",
+            severity="warning",
+            flight=view.name,
+            where=f"channel u{worst + 1} and others",
+            message=f"a command is at the same least value {low:.4g} for {100 * share:.1f} % of "
+            "the flight: the firmware lets none below it",
+            evidence={"share": share, f"share_u{worst + 1}": float(at[:, worst].mean())},
+            fix=MORE,
+        )
 
 
 def _next(size: FloatArray, top: float) -> int:

@@ -198,25 +198,39 @@ def _frames(parser: _Parser) -> _Frames:
                 before += 1
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, OSError):
         whole = False
-    kept = _undoubted(rows, begins)
+    kept = _undoubted(rows, begins, _between(parser.headers))
     return _Frames(rows=kept, before=before, doubtful=len(rows) - len(kept), whole=whole)
 
 
-def _undoubted(rows: list[Row], begins: list[int]) -> list[Row]:
+def _between(headers: Headers) -> int | None:
+    """Frames from one I frame up to the next; None where the headers do not tell. Old firmware
+    writes P interval as the share of iterations that are logged, as 1/2."""
+    every = int(_number(headers.get("I interval")) or 0)
+    share = re.fullmatch(r"(?:(\d+)/)?([1-9]\d*)", str(headers.get("P interval")))
+    if share is None:
+        return None
+    number, rest = divmod(every * int(share[1] or 1), int(share[2]))
+    return None if rest else number
+
+
+def _undoubted(rows: list[Row], begins: list[int], whole: int | None) -> list[Row]:
     """The frames without the P frames between two I frames, which begin at `begins`, of which some
-    are lost.
+    are lost: there are not `whole` of them.
 
     A P frame is a difference to those before it, so that behind a lost one all are wrong up to the
     next I frame. Where bytes are lost the parser cannot always tell, but the firmware writes the
-    same number between any two I frames.
+    same number between any two I frames. Lost ones make it smaller: where no header tells it, it is
+    the largest that comes twice.
     """
     sizes = np.diff([*begins, len(rows)])
     if sizes.size < 3:
         return rows
-    usual = int(np.argmax(np.bincount(sizes[:-1])))
+    values, times = np.unique(sizes[:-1], return_counts=True)
+    if whole not in values:
+        whole = int(max(values[times > 1], default=values[-1]))
     kept: list[Row] = []
     for at, size in zip(begins[:-1], sizes[:-1].tolist(), strict=True):
-        kept += rows[at : at + (size if size == usual else 1)]
+        kept += rows[at : at + (size if size == whole else 1)]
     return kept + rows[begins[-1] :]
 
 

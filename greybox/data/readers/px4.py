@@ -23,6 +23,8 @@ MOTOR_FUNCTION = 101
 
 DSHOT = range(-8, -2)
 """Values of PWM_MAIN_TIMi and the like that are DShot, with -8 to -6 in both directions."""
+GAZEBO = "SIM_GZ_EC"
+"""Outputs to Gazebo, which are rotor speeds [rad/s]."""
 VTOL = range(19, 26)
 """MAV_TYPE of craft that also fly on wings (MAVLink): among their outputs stand servos."""
 
@@ -62,12 +64,17 @@ def idle_of(parameters: Mapping[str, float]) -> float:
     """Share of the full motor signal that a running motor gets at a command of zero: of Gazebo's
     speeds, and of DShot. 0 for PWM, of which nobody says what an ESC takes for none."""
     for i in range(1, 17):
-        if is_motor(parameters.get(f"SIM_GZ_EC_FUNC{i}", 0.0)):
-            low, high = (parameters.get(f"SIM_GZ_EC_{end}{i}", 0.0) for end in ("MIN", "MAX"))
+        if is_motor(parameters.get(f"{GAZEBO}_FUNC{i}", 0.0)):
+            low, high = (parameters.get(f"{GAZEBO}_{end}{i}", 0.0) for end in ("MIN", "MAX"))
             return low / high if 0.0 < low < high else 0.0
-    timers = (parameters.get(f"PWM_{b}_TIM{k}", 0.0) for b in ("MAIN", "AUX") for k in range(16))
     least = parameters.get("DSHOT_MIN", 0.0)
-    return least if any(t in DSHOT for t in timers) and 0.0 < least < 1.0 else 0.0
+    for bus in ("PWM_MAIN", "PWM_AUX"):
+        # A timer of outputs that drive no motor says nothing of the motors.
+        motors = any(is_motor(parameters.get(f"{bus}_FUNC{i}", 0.0)) for i in range(1, 17))
+        dshot = any(parameters.get(f"{bus}_TIM{k}", 0.0) in DSHOT for k in range(16))
+        if motors and dshot and 0.0 < least < 1.0:
+            return least
+    return 0.0
 
 
 def is_motor(function: float) -> bool:
@@ -115,7 +122,7 @@ def sources_of(
     0.
     """
     yield from _commands(streams, parameters, factor, rotors)
-    if not any(is_motor(parameters.get(f"SIM_GZ_EC_FUNC{i}", 0.0)) for i in range(1, 17)):
+    if not any(is_motor(parameters.get(f"{GAZEBO}_FUNC{i}", 0.0)) for i in range(1, 17)):
         # In Gazebo esc_status repeats what was commanded, in rad/s.
         yield from _speeds(streams)
     for name, stream in streams.items():
@@ -307,8 +314,9 @@ def _outputs(
     top, spread = float(np.nanmax(values)), float(np.nanmean(np.nanstd(values, axis=0)))
     if top <= 1.5:
         yield Source(group="command", stream=name, fields=used), spread
-    elif 800.0 < top <= 2500.0 and float(np.nanmin(values)) >= 500.0:
-        low, high = _pulses(bus, places, parameters)
+    elif bus == GAZEBO or (800.0 < top <= 2500.0 and float(np.nanmin(values)) >= 500.0):
+        low, high = _ends(bus, places, parameters)
+        what, unit = ("speed", "rad/s") if bus == GAZEBO else ("PWM", "us")
         ends = dict.fromkeys(zip(low.tolist(), high.tolist(), strict=True))
         yield (
             Source(
@@ -316,24 +324,29 @@ def _outputs(
                 stream=name,
                 fields=used,
                 convert=_stopped(low, high),
-                note=f"PWM {', '.join(f'{a:g}..{b:g}' for a, b in ends)} us",
+                note=f"{what} {', '.join(f'{a:g}..{b:g}' for a, b in ends)} {unit}",
             ),
             float(np.nanmean(np.nanstd(values, axis=0) / (high - low))),
         )
 
 
-def _pulses(
+def _ends(
     bus: str, places: Sequence[int], parameters: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Shortest and longest pulse (K,) [us] of the outputs at `places` of a bus; those of its first
-    where one has none. Older versions have one range of all outputs; where they have one each
-    besides, -1 there stands for that."""
+    """Values (K,) of none and of full motor signal of the outputs at `places` of a bus: shortest and
+    longest pulse [us], or 0 and the largest speed [rad/s] in Gazebo; those of its first where one
+    has none. Older versions have one range of all outputs; where they have one each besides, -1
+    there stands for that."""
 
     def of(end: str, place: int, usual: float) -> float:
         own, first = f"{bus}_{end}{place + 1}", f"{bus}_{end}1"
         names = (own if own in parameters else first, f"{bus}_{end}", f"PWM_{end}")
         return next((v for n in names if (v := parameters.get(n, 0.0)) > 0.0), usual)
 
+    if bus == GAZEBO:
+        return np.zeros(len(places)), np.array(
+            [parameters.get(f"{bus}_MAX{i + 1}", 0.0) or 1000.0 for i in places]
+        )
     low, high = (
         np.array([of(end, i, usual) for i in places])
         for end, usual in (("MIN", 1000.0), ("MAX", 2000.0))
@@ -351,7 +364,7 @@ def servos_among(parameters: Mapping[str, float]) -> bool:
 def _motor_outputs(parameters: Mapping[str, float]) -> tuple[str, tuple[int, ...]]:
     """(bus, indices of its outputs that drive motors 1, 2, ...) by the function parameters of the
     main or auxiliary outputs; the main ones and no index where these do not tell."""
-    for bus in ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC", "UAVCAN_EC"):
+    for bus in ("PWM_MAIN", "PWM_AUX", GAZEBO, "UAVCAN_EC"):
         places: dict[int, int] = {}
         for i in range(16):
             function = int(parameters.get(f"{bus}_FUNC{i + 1}", 0))

@@ -299,20 +299,23 @@ def _px4_stamps(kind: str, fields: Mapping[str, FloatArray]) -> FloatArray | Non
 
 def _px4(streams: Mapping[str, Stream]) -> Iterator[Source]:
     """What PX4's messages are as in its own logs, of all topics of one type in the order of their
-    names. A bag has no parameters: motors are before THR_MDL_FAC, and what the pulses of a driver
-    mean is not known."""
+    names. A bag has no parameters: motors are before THR_MDL_FAC and the idle, what the pulses of a
+    driver mean is not known, nor whether EscStatus was measured: Gazebo repeats the commands in
+    it."""
     of_kind: dict[str, list[str]] = {}
     for name, stream in streams.items():
         if "px4_msgs" in stream.kind:
             own = re.sub(r"(?<!^)(?=[A-Z])", "_", stream.kind.rpartition("/")[2]).lower()
             of_kind.setdefault(own, []).append(name)
-    of_kind.pop("actuator_outputs", None)
+    for unknown in ("actuator_outputs", "esc_status"):
+        of_kind.pop(unknown, None)
     for k in range(max(map(len, of_kind.values()), default=0)):
         names = {kind: topics[k] for kind, topics in of_kind.items() if k < len(topics)}
         known = {kind: replace(streams[name], kind=kind) for kind, name in names.items()}
         for source in sources_of(known, {}, 0.0, 0):
             if source.stream in names:
-                note = "before THR_MDL_FAC" if source.group == "command" else source.note
+                before = "before THR_MDL_FAC and idle"
+                note = before if source.group == "command" else source.note
                 yield replace(source, stream=names[source.stream], note=note)
 
 

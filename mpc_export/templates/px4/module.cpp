@@ -76,6 +76,23 @@ void @Class@::measure(@real@ y[@UPPER@_N_Y], unsigned char there[@UPPER@_N_Y])
 @measured@
 }
 
+/* The motor signal at a control of zero; the model's command is idle + (1 - idle) control. */
+static constexpr float idle = @UPPER@_IDLE;
+static_assert(idle >= 0.0f && idle < 1.0f, "@UPPER@_IDLE is a share of the full motor signal");
+
+/* The control that gives a command; one below the idle is the idle, and the filter is to know that. */
+static float control_of(@real@ &u)
+{
+	constexpr @real@ least = idle;
+
+	if (u < least) {
+		u = least;
+	}
+
+	const float control = (static_cast<float>(u) - idle) / (1.0f - idle);
+	return control < 0.0f ? 0.0f : control > 1.0f ? 1.0f : control;
+}
+
 /* Whether PX4 leaves the motors to whoever publishes them, and, to take over, where to: offboard, direct actuator control.
    Who flies goes on while nobody else does: a goal that is not finite or too old leaves the last. */
 bool @Class@::commanded(hrt_abstime now)
@@ -158,7 +175,7 @@ void @Class@::Run()
 		motors.timestamp_sample = now;
 
 		for (int i = 0; i < actuator_motors_s::NUM_CONTROLS; ++i) {
-			motors.control[i] = i < @UPPER@_N_U ? static_cast<float>(_flight.u[i]) : NAN;
+			motors.control[i] = i < @UPPER@_N_U ? control_of(_flight.u[i]) : NAN;
 		}
 
 		_motors_pub.publish(motors);
@@ -168,9 +185,17 @@ void @Class@::Run()
 		actuator_motors_s others{};
 
 		if (_others_sub.update(&others)) {
+			bool runs = false; /* all at zero are stopped */
+
 			for (int i = 0; i < @UPPER@_N_U; ++i) {
+				runs = runs || others.control[i] > 0.0f;
+			}
+
+			for (int i = 0; i < @UPPER@_N_U; ++i) {
+				const float control = others.control[i];
+				const float signal = runs && control >= 0.0f ? idle + (1.0f - idle) * control : control;
 				/* NaN is a motor that is stopped */
-				_others[i] = PX4_ISFINITE(others.control[i]) ? others.control[i] : 0;
+				_others[i] = PX4_ISFINITE(control) ? signal : 0;
 			}
 		}
 

@@ -21,6 +21,11 @@
 #include "../../../../c/@NAME@_flight.h"
 #include "frames.hpp"
 
+/* The idle with which the flights of the model were read: see ../../../README.md. */
+#ifndef @UPPER@_IDLE
+#define @UPPER@_IDLE 0.0f
+#endif
+
 /* PX4 1.14 to 1.16 have ModuleBase<T>; from 1.17 on modules have a descriptor. */
 #ifdef @UPPER@_MODULE_TEMPLATE
 class @Class@ : public ModuleBase<@Class@>, public px4::ScheduledWorkItem

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from greybox.cli import main
 from greybox.data.readers import read_recording
 from greybox.data.readers.assemble import assemble
+from greybox.data.readers.betaflight import _frames
 from tests.data.readers import writers as w
 
 FOLDER = Path(__file__).parent / "firmware"
@@ -112,3 +114,45 @@ def test_where_bytes_are_lost_no_value_is_another(seed: int, tmp_path: Path) -> 
     assert any(
         "others before them are lost" in n for n in read_recording(tmp_path / "lost.bfl").notes
     )
+
+
+class Frame:
+    """A frame of orangebox."""
+
+    def __init__(self, kind: str, number: int) -> None:
+        self.type = type("Kind", (), {"value": kind})
+        self.data = (number,)
+
+
+class Log:
+    """A parser of frames, of which some P frames are lost: `sizes` are left from an I frame on."""
+
+    field_names = ("number",)
+
+    def __init__(self, headers: dict[str, int | str], sizes: list[int]) -> None:
+        self.headers, self.sizes = headers, sizes
+
+    def frames(self) -> Iterator[Frame]:
+        for k, size in enumerate(self.sizes):
+            yield from (Frame("P" if i else "I", 100 * k + i) for i in range(size))
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"I interval": 256, "P interval": 8},
+        {"I interval": 64, "P interval": "1/2"},
+        {"I interval": 32, "P interval": "1/1"},
+        {},
+    ],
+)
+def test_frames_are_lost_where_fewer_came_than_the_firmware_writes(
+    headers: dict[str, int | str],
+) -> None:
+    sizes = [31, 32, 31, 31, 32, 31, 31, 31, 20]
+    found = _frames(Log(headers, sizes))
+    whole = [k for k, size in enumerate(sizes) if size == 32]
+    kept = {k: sum(row[0] // 100 == k for row in found.rows) for k in range(len(sizes))}
+    assert {k: kept[k] for k in whole} == dict.fromkeys(whole, 32)
+    assert all(kept[k] == 1 for k in range(8) if k not in whole)
+    assert found.doubtful == 6 * 30

@@ -138,8 +138,12 @@ def test_disarmed_outputs_are_zero_and_not_negative(tmp_path: Path) -> None:
     assert (raw.channels["u1"][:50] == 0).all()
 
 
+def motors_on(bus: str) -> dict[str, float]:
+    return {f"{bus}_FUNC{i}": 100 + i for i in (1, 2, 3, 4)}
+
+
 GAZEBO = {
-    **{f"SIM_GZ_EC_FUNC{i}": 100 + i for i in (1, 2, 3, 4)},
+    **motors_on("SIM_GZ_EC"),
     **{f"SIM_GZ_EC_MIN{i}": 150 for i in (1, 2, 3, 4)},
     **{f"SIM_GZ_EC_MAX{i}": 1000 for i in (1, 2, 3, 4)},
 }
@@ -148,10 +152,13 @@ GAZEBO = {
 @pytest.mark.parametrize(
     ("parameters", "idle"),
     [
-        ({"DSHOT_MIN": 0.055}, 0.0),
-        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -1}, 0.0),
-        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -4}, 0.055),
-        ({"DSHOT_MIN": 0.07, "PWM_AUX_TIM1": -3}, 0.07),
+        ({"DSHOT_MIN": 0.055, **motors_on("PWM_MAIN")}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -1, **motors_on("PWM_MAIN")}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_MAIN_TIM0": -4, **motors_on("PWM_MAIN")}, 0.055),
+        ({"DSHOT_MIN": 0.07, "PWM_AUX_TIM1": -3, **motors_on("PWM_AUX")}, 0.07),
+        # timers of outputs that drive no motor
+        ({"DSHOT_MIN": 0.055, "PWM_AUX_TIM0": -5, **motors_on("UAVCAN_EC")}, 0.0),
+        ({"DSHOT_MIN": 0.055, "PWM_AUX_TIM0": -5, **motors_on("PWM_MAIN")}, 0.0),
         (GAZEBO, 0.15),
     ],
 )
@@ -173,6 +180,32 @@ def test_a_running_motor_that_is_commanded_nothing_idles(
         flown = idle + (1 - idle) * c[f"u{i}"][20:]
         np.testing.assert_allclose(raw.channels[f"u{i}"][20:], flown, atol=1e-5)
         assert (raw.channels[f"u{i}"][:20] == 0).all()
+
+
+@pytest.mark.parametrize("level", [0.6, 0.3])
+def test_outputs_to_gazebo_are_the_commands_of_the_same_flight(
+    tmp_path: Path, level: float
+) -> None:
+    """They are rotor speeds, of 150 + 850 u of 1000 rad/s those of actuator_motors."""
+    c = w.channels(rows=N)
+    sent = level + 0.3 * np.column_stack([c[f"u{i}"] for i in (1, 2, 3, 4)])
+    sent[:20] = 0.0  # disarmed
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        log.data = [(t, m) for t, m in log.data if m[3:5] not in (b"\1\0", b"\2\0")]
+        for name, value in GAZEBO.items():
+            log.parameter(name, value)
+        output = np.zeros((N, 16), np.float32)
+        output[:, :4] = 1000 * sent
+        fields = {"noutputs": np.full(N, 4, np.uint32), "output": output}
+        log.topic("actuator_outputs", stamps, fields, instance=2)
+
+    raw = read_table(with_change(tmp_path / "a.ulg", change, version="old"))
+    for i in (1, 2, 3, 4):
+        np.testing.assert_allclose(raw.channels[f"u{i}"], sent[:, i - 1], atol=1e-5)
+    said = [n for n in raw.notes if "actuator_outputs" in n]
+    assert any("speed 0..1000 rad/s" in n for n in said), said
+    assert not any("PWM" in n for n in said)
 
 
 def with_speeds(log: w.ULogWriter, stamps: np.ndarray) -> None:

@@ -145,13 +145,14 @@ def step(x, u, y, given, goal):
     return x.full().ravel(), u.full().ravel(), y_hat.full().ravel()
 
 
-def expected(y, given, goal, place, flies=None, others=None):
-    """(Command in force, the next one, predictions) per sample, as Python has them."""
+def expected(y, given, goal, place, flies=None, others=None, least=0.0):
+    """(Command in force, the next one, predictions) per sample, as Python has them; no command in
+    force is below `least`."""
     f = functions()
     x, u, rows = placed(f.pilot.x, place), f.pilot.u.copy(), []
     for k in range(len(y)):
         own = flies is None or flies[k]
-        u = u if own else others[k]
+        u = np.maximum(u, least) if own else others[k]
         x, after, y_hat = step(x, u, y[k], given[k], goal)
         rows.append((u, after, y_hat))
         u = after if own else u
@@ -472,8 +473,8 @@ def test_the_px4_module_takes_over_with_a_fresh_setpoint_alone():
     assert (out[:5] == -1.0).all() and (out[5:] >= 0.0).all()
 
 
-@pytest.mark.parametrize("form", ["-UCRAFT_MODULE_TEMPLATE", "-DCRAFT_MODULE_TEMPLATE"])
-def test_the_px4_module_turns_frames_and_watches_before_it_flies(form):
+def px4_recording(idle=0.0):
+    """(rows, command in force, predictions): a flight watched, then flown, with motors that idle."""
     y, goal = recording()
     n, rng = len(y), np.random.default_rng(2)
     flies = np.arange(n) >= 20
@@ -483,6 +484,7 @@ def test_the_px4_module_turns_frames_and_watches_before_it_flies(form):
     place, q, gyro, acc, others = floats(
         y[:, :3] @ NED, turned, y[:, 7:10] @ FRD, y[:, 10:13] @ FRD, rng.uniform(0.6, 0.8, (n, 4))
     )
+    acted = idle + (1.0 - idle) * others
     (aim,) = floats([*(NED @ goal[:3]), math.pi / 2 - goal[3]])
     rows = [
         [
@@ -502,7 +504,6 @@ def test_the_px4_module_turns_frames_and_watches_before_it_flies(form):
         ]
         for k in range(n)
     ]
-    out = px4(rows, form)
     back = np.array([quaternion(NED @ rotation(v) @ FRD) for v in q])
     seen = np.column_stack([place @ NED, back, gyro @ FRD, acc @ FRD])
     given = np.zeros(y.shape, dtype=bool)
@@ -510,11 +511,33 @@ def test_the_px4_module_turns_frames_and_watches_before_it_flies(form):
     heading = math.pi / 2 - aim[3]
     target = np.array([*(NED @ aim[:3]), heading])
     force, _, y_hat = expected(
-        seen, given, target, np.array([*(NED @ place[0]), heading]), flies, others
+        seen, given, target, np.array([*(NED @ place[0]), heading]), flies, acted, idle
     )
+    return rows, force, y_hat
+
+
+@pytest.mark.parametrize("form", ["-UCRAFT_MODULE_TEMPLATE", "-DCRAFT_MODULE_TEMPLATE"])
+def test_the_px4_module_turns_frames_and_watches_before_it_flies(form):
+    rows, force, y_hat = px4_recording()
+    out = px4(rows, form)
     assert (out[:, 0] == 0).all()
     close(out[:, 1:5], force)
     close(out[:, 5:], y_hat)
+
+
+@pytest.mark.parametrize("idle", [0.15, 0.75])
+def test_controls_of_px4_begin_at_the_idle_of_the_commands(idle):
+    rows, force, y_hat = px4_recording(idle)
+    out = px4(rows, f"-DCRAFT_IDLE={idle}f")
+    close(idle + (1.0 - idle) * out[:, 1:5], force)
+    close(out[:, 5:], y_hat)
+    assert (out[20:, 1:5] == 0.0).any() == (idle == 0.75), "its limit should be met"
+
+
+def test_the_idle_of_px4_is_named_where_it_is_to_be_set():
+    said = (bundle() / "px4" / "README.md").read_text(encoding="utf-8")
+    assert all(f"`{own}`" in said for own in ("CRAFT_IDLE", "DSHOT_MIN"))
+    assert "CRAFT_IDLE" in (bundle() / "manifest.json").read_text(encoding="utf-8")
 
 
 def ros(rows, *arguments):
