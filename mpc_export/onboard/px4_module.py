@@ -42,7 +42,6 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
     ):
         known |= {n: f"{own}[{i}]" for i, n in enumerate(names)}
         there |= dict.fromkeys(names, f"seen_{own}")
-    battery = board.battery
     name = board.name
     words = {
         "Class": "".join(part.capitalize() for part in name.split("_")) + "Module",
@@ -50,22 +49,7 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         "measured": board.measured(known, there).replace("\n  ", "\n\t").replace("  y", "\ty", 1),
         "root": board.number(0.5**0.5),
         "quarter": board.number(1.5707963267948966),
-        "battery_header": "" if battery is None else "#include <uORB/topics/battery_status.h>",
-        "battery_row": ""
-        if battery is None
-        else f"| battery_status | in | its voltage. {board.said_of_volts()} |\n",
-        "battery_member": ""
-        if battery is None
-        else "	uORB::Subscription _battery_sub{ORB_ID(battery_status)};\n",
-        "battery": ""
-        if battery is None
-        else f"""
-	battery_status_s battery{{}};
-
-	if (_battery_sub.update(&battery)) {{
-		{name}_flight_parameter(&_flight, {battery}, battery.voltage_v);
-	}}
-""",
+        **_battery(board),
         "precision": DOUBLE if board.real == "double" else "",
     }
     place = folder / "px4" / "src" / "modules" / name
@@ -88,4 +72,23 @@ def write(board: OnBoard, folder: Path) -> TargetPart:
         "interval_us": round(1e6 * f.dt),
         "note": f"u = idle + (1 - idle) control of actuator_motors, idle = {name.upper()}_IDLE: "
         "set it as px4/README.md says",
+    }
+
+
+def _battery(board: OnBoard) -> dict[str, str]:
+    """What the templates say of the battery: nothing for a model without one."""
+    battery = board.battery
+    if battery is None:
+        return dict.fromkeys(("battery_header", "battery_row", "battery_member", "battery"), "")
+    return {
+        "battery_header": "#include <uORB/topics/battery_status.h>",
+        "battery_row": f"| battery_status | in | its voltage. {board.said_of_volts()} |\n",
+        "battery_member": "	uORB::Subscription _battery_sub{ORB_ID(battery_status)};\n",
+        "battery": f"""
+	battery_status_s battery{{}};
+
+	if (_battery_sub.update(&battery)) {{
+		{board.name}_flight_parameter(&_flight, {battery}, battery.voltage_v);
+	}}
+""",
     }
