@@ -142,6 +142,33 @@ def test_shares_of_thrust_are_no_rotor_speeds(flown):
     assert said(shares, replace(craft, actuator=replace(craft.actuator, thrust=mended))) == ()
 
 
+def blind(raw, *groups):
+    """The log without the accelerometer, and without these channels."""
+    gone = {"ax", "ay", "az", *groups}
+    return replace(raw, channels={k: v for k, v in raw.channels.items() if k not in gone})
+
+
+@pytest.mark.parametrize("groups", [(), ("vx", "vy", "vz")])
+def test_the_motion_weighs_the_thrust_where_no_accelerometer_does(flown, groups):
+    """Before, thrust in newtons under a map of rotor speeds was a mass of several times the real
+    one, and nothing was said of the commands."""
+    raw, craft = flown
+    assert said(blind(raw, *groups), craft) == ()
+    shares = with_channels(raw, **{n: raw.channels[n] ** 2 for n in COMMANDS})
+    (found,) = said(blind(shares, *groups), craft)
+    assert "shares of thrust" in found.message
+    assert found.evidence["steepness"] == pytest.approx(0.5, abs=0.1)
+    assert found.where == f"u1.. against {'x, y, z' if groups else 'vx, vy, vz'} with qw..qz"
+
+
+def test_a_motion_in_a_wrong_frame_weighs_no_thrust(flown):
+    raw, craft = flown
+    ned = blind(scaled(raw, "vy vz", -1.0), "x", "y", "z")
+    report = check([ned], craft)
+    assert report.blocking and not report.of("thrust")
+    assert any(u.check == "thrust" and "motion" in u.reason for u in report.not_judged)
+
+
 def test_a_map_that_takes_commands_for_shares_is_not_told_that_they_are(flown):
     """Before, the fix of a slope that feedback made smaller was the map of the file."""
     raw, craft = flown
@@ -185,9 +212,9 @@ def test_real_flights_with_commands_that_begin_elsewhere(flight):
 
 def test_what_cannot_be_judged_is_said():
     raw = real("arpl_crazyflie", "log15")
-    blind = replace(raw, channels={k: v for k, v in raw.channels.items() if k != "az"})
-    report = check([blind], vehicle("arpl_crazyflie"))
-    assert [u.reason for u in report.not_judged if u.check == "thrust"] == ["no accelerometer"]
+    report = check([blind(raw)], vehicle("arpl_crazyflie"))
+    (reason,) = [u.reason for u in report.not_judged if u.check == "thrust"]
+    assert reason == "no accelerometer, and no attitude with velocity or position"
 
 
 def test_an_accelerometer_of_a_wrong_unit_is_no_wrong_thrust():

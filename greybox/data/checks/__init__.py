@@ -105,7 +105,7 @@ NAMES = tuple(
 FRAMES = (*(r.name for r in RELATIONS), "alignment", gravity.CHECK.name)
 """Checks that find axes, units or clocks wrong."""
 WRONG = "axes, unit or clock of the gyro are wrong, or of the attitude where there is none"
-WRONG_FORCE = "the accelerometer's unit or axes are wrong"
+WRONG_FORCE = "the accelerometer's unit or axes are wrong, or the motion's where there is none"
 
 
 def _of_wrong_rates(findings: Iterable[Finding], views: Iterable[View]) -> set[str]:
@@ -122,12 +122,18 @@ def _of_wrong_rates(findings: Iterable[Finding], views: Iterable[View]) -> set[s
     }
 
 
-def _of_a_wrong_accelerometer(findings: Iterable[Finding]) -> set[str]:
-    """The flights whose accelerometer weighs no thrust."""
+def _of_a_wrong_force(findings: Iterable[Finding], views: Iterable[View]) -> set[str]:
+    """The flights whose accelerometer, or motion where there is none, weighs no thrust."""
+    felt = {v.name for v in views if v.has("specific_force")}
     return {
         f.flight
         for f in findings
-        if f.severity == "blocking" and f.check == gravity.CHECK.name and "ax" in f.where
+        if f.severity == "blocking"
+        and (
+            f.check == gravity.CHECK.name and "ax" in f.where
+            if f.flight in felt
+            else f.check in FRAMES
+        )
     }
 
 
@@ -200,7 +206,7 @@ def _outcomes(views: Sequence[View]) -> tuple[list[Finding], list[Unjudged]]:
             if one is motors.CHECK:
                 wrong = _of_wrong_rates(findings, views)
             elif one is thrust.CHECK:
-                wrong, why = _of_a_wrong_accelerometer(findings), WRONG_FORCE
+                wrong, why = _of_a_wrong_force(findings, views), WRONG_FORCE
             unjudged += [Unjudged(check=one.name, flight=n, reason=why) for n in sorted(wrong)]
             asked = [v for v in views if v.name not in wrong]
             outcomes = list(one.run(asked))

@@ -1,5 +1,5 @@
 """Check of the commands' scale: the thrust that the file's map makes of them against the specific
-force.
+force, which without an accelerometer is that of the motion.
 
 The level, mean specific force over mean promised thrust, is that of mass, thrust number or range.
 How steeply thrust grows with the commands, each over its mean, is the same for every mass and
@@ -11,6 +11,7 @@ said where the level agrees.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +24,17 @@ from greybox.data.airframe import Airframe, ThrustMap, Weighed, WithEffects
 from greybox.data.checks.block_sums import BLOCKS, BlockSums
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, SEEN, jackknife
-from greybox.data.checks.signals import best_lag, bridged, peak, shifted, smoothed
+from greybox.data.checks.signals import (
+    attitude_joined_up,
+    best_lag,
+    derivative,
+    joined_up,
+    pace,
+    peak,
+    shifted,
+    smoothed,
+    turned,
+)
 from greybox.data.checks.together import alone_and_together
 from greybox.data.checks.view import FloatArray, View
 from greybox.data.column_guess import CUSTOMARY
@@ -33,6 +44,8 @@ HALF_WINDOW = 0.15
 takes little of a slope then. ..."""
 SLOW = 1.0
 """... What means over twice this time show is left out: a battery that empties is no slope."""
+DIFFERENCED = 0.05
+"""A velocity from the position is its difference over twice this time [s]."""
 LARGEST_LAG = 0.15
 """Largest lag from command to thrust that is looked for [s]."""
 ZEROS = np.arange(0.0, 0.96, 0.05)
@@ -120,7 +133,7 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
             yield Unjudged(check=CHECK.name, flight=view.name, reason=sums, open=open_)
     if not found:
         return
-    vehicle = views[0].vehicle
+    vehicle, views_of = views[0].vehicle, {v.name: v for v in views}
     told = alone_and_together(
         found,
         lambda some: _verdict(vehicle, Sums.joined(some)),
@@ -133,7 +146,7 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
                 check=CHECK.name,
                 severity=one.said.severity,
                 flight=flight,
-                where="u1.. against az",
+                where=f"u1.. against {_WHERE[_felt_by(views_of[flight])]}",
                 message=one.said.message + one.against,
                 evidence={**one.said.evidence, "flights": len(one.flights)},
                 fix=one.said.fix,
@@ -195,18 +208,51 @@ def _curved(u: FloatArray, f: float) -> FloatArray:
     return (1.0 - f) * u + f * u**2
 
 
+_WHERE = {
+    "specific_force": "az",
+    "velocity": "vx, vy, vz with qw..qz",
+    "position": "x, y, z with qw..qz",
+}
+
+
+def _felt_by(view: View) -> str:
+    """The group that tells the specific force; empty where none does."""
+    if view.has("specific_force"):
+        return "specific_force"
+    moved = (g for g in ("velocity", "position") if view.has("attitude", g))
+    return next(moved, "")
+
+
+def _felt(view: View, most: int) -> tuple[FloatArray, list[int]]:
+    """Specific force along the body's z (N, 1) [m/s^2], over gaps of at most `most` samples:
+    measured, or how the craft's motion changes, less gravity; and the half windows [rows] over
+    which differences have smoothed it."""
+    group = _felt_by(view)
+    track = joined_up(view.group(group), most)
+    if group == "specific_force":
+        return track[:, 2:], []
+    steps, times = pace(view.group(group)), 1
+    if group == "position":
+        steps, times = max(steps, round(DIFFERENCED / view.dt)), 2
+    for _ in range(times):
+        track = derivative(track, view.dt, steps)
+    force = track + np.array([0.0, 0.0, view.vehicle.gravity])
+    attitude = attitude_joined_up(view.group("attitude"), most)
+    return turned("rotate_inverse", attitude, force)[:, 2:], [steps] * times
+
+
 def _sums(view: View) -> Sums | str:
     """The sums of a flight, or why there are none."""
     known = _map(view.vehicle)
     if view.flight is None or not view.drives:
         return "no airborne stretch" if view.flight is None else "not all commands"
-    if not view.has("specific_force"):
-        return "no accelerometer"
+    if not _felt_by(view):
+        return "no accelerometer, and no attitude with velocity or position"
     if known is None:
         return "the vehicle file states no mass and thrust"
     dt = view.dt
     half, slow = max(1, round(HALF_WINDOW / dt)), max(2, round(SLOW / dt))
-    force = bridged(view.joined(["az"]), half) * known.mass
+    force, windows = _felt(view, half)
     u = view.drive
 
     def parts(values: FloatArray) -> FloatArray:
@@ -214,8 +260,12 @@ def _sums(view: View) -> Sums | str:
         mean = smoothed(values, half)
         return np.hstack([mean, mean - smoothed(values, slow)])
 
-    y = parts(force)
-    x = parts(known.promised(u).sum(axis=1, keepdims=True))
+    def made(promised: FloatArray) -> FloatArray:
+        """The same of all rotors' thrust (N, n), as smooth as the force."""
+        return parts(functools.reduce(smoothed, windows, promised.sum(axis=1, keepdims=True)))
+
+    y = parts(force * known.mass)
+    x = made(known.promised(u))
     lag = round(best_lag(y[:, 1:], x[:, 1:], np.arange(round(LARGEST_LAG / dt) + 1))[0])
     rows = np.flatnonzero(np.isfinite(y).all(axis=1) & np.isfinite(shifted(x, lag)).all(axis=1))
     if rows.size < FEWEST:
@@ -226,7 +276,7 @@ def _sums(view: View) -> Sums | str:
     tried = (known.promised(changed) for changed in itertools.chain(begun, curved))
     sums = np.zeros((3, ZEROS.size + CURVES.size + 1, BLOCKS))
     for k, promised in enumerate(itertools.chain(tried, [known.full * u])):
-        x = shifted(parts(promised.sum(axis=1, keepdims=True)), lag)
+        x = shifted(made(promised), lag)
         for j, b in enumerate(blocks):
             sums[:, k, j] = x[b, 0].sum(), (x[b, 1] ** 2).sum(), (x[b, 1] * y[b, 1]).sum()
     if not y[rows, 0].mean() > LEAST * known.mass * view.vehicle.gravity:
