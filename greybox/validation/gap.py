@@ -97,10 +97,20 @@ class GapRow:
     opened: bool = False
 
     @property
+    def place(self) -> tuple[str, float]:
+        """Group and horizon."""
+        return self.group, self.horizon_s
+
+    @property
     def worse(self) -> bool:
         """Whether it clearly got worse, by more than a trace."""
         felt = self.after**2 > (1 + TRACE) * self.before**2
         return self.opened or (felt and self.ci95 is not None and self.ci95[1] < 0)
+
+    @property
+    def much_worse(self) -> bool:
+        """Whether it clearly got worse, by more than a tenth."""
+        return self.worse and self.after > (1 + TENTH) * self.before
 
     @property
     def opposed(self) -> bool:
@@ -110,7 +120,7 @@ class GapRow:
     @property
     def doubtful(self) -> bool:
         """Whether that is so, and much."""
-        return self.opposed and self.after > (1 + TENTH) * self.before
+        return self.opposed and self.much_worse
 
     def to_dict(self) -> GapDocument:
         """As in discovery.json."""
@@ -228,7 +238,8 @@ def worsened(rows: Iterable[GapRow]) -> list[str]:
         if r.opposed:
             out.append(
                 f"{said}worse by physics alone, {r.filtered:.4g} {r.unit} with the force and "
-                "torque without a name that the filter sees: a name stands against these"
+                "torque without a name that the filter sees: a name stands against these, or "
+                "commands of a feedback answer them"
             )
         elif r.filtered is None:
             out.append(f"{said}worse than without the names")

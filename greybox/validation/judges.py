@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import weakref
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from greybox.data import Dataset
@@ -48,6 +49,21 @@ class Judges:
         seen = verdict_on(found.model, self.flights, self.adapt)
         return found if seen is None else found.judged(seen)
 
+    def oppose(
+        self, before: HeldOutErrors | None, model: IdentifiedModel, names: Collection[str]
+    ) -> bool:
+        """Whether effects of a model stand against force and torque without a name: with them much
+        larger errors than `before`, which what the filter sees mends, and as much smaller ones
+        without all of them or one, all other numbers as they are.
+
+        Where commands answer gusts, the craft itself may foretell worse by its physics alone than a
+        wrong one that answers less; but not worse than itself without what it has.
+        """
+        bad = {r.place for r in self.rows(before, model) if r.doubtful}
+        ways = [names, *([n] for n in sorted(names))] if bad else []
+        bare = (self.errors(_at_null(model, some)) for some in ways)
+        return any(r.much_worse and r.place in bad for old in bare for r in self.rows(old, model))
+
     def rows(
         self,
         before: HeldOutErrors | None,
@@ -72,3 +88,14 @@ class Judges:
             filtered=filtered.own if filtered else None,
             seed=self.seed,
         )
+
+
+def _at_null(model: IdentifiedModel, names: Collection[str]) -> IdentifiedModel:
+    """The model with the effects of these names as if they were not there."""
+    return model.with_values(
+        {
+            d.name: min(max(d.null, d.lower), d.upper)
+            for d in model.dynamics.parameters
+            if d.null is not None and d.name.split(".")[0] in names
+        }
+    )

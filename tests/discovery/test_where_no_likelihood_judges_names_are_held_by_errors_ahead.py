@@ -21,6 +21,7 @@ from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import _Run
 from greybox.model.known import NOTHING, Known
 from greybox.validation.gap import GapRow
+from greybox.validation.judges import Judges
 from greybox.validation.sanity import impossible
 from greybox.validation.worth import Worth
 from tests.discovery import small_world
@@ -229,17 +230,24 @@ def asked(monkeypatch) -> list[Any]:
     return given
 
 
-def on_flights(*rows: GapRow, known: Known = NOTHING) -> Any:
-    """A search of which a structure leaves these errors on the flights that judge."""
+def on_flights(*rows: GapRow, known: Known = NOTHING, bare: tuple[GapRow, ...] = ()) -> Any:
+    """A search of which a structure leaves these errors on the flights that judge, after those of
+    the base and after those of itself with no lag."""
+    lag = SimpleNamespace(name="lag.tau", null=0.0, lower=1e-3, upper=1.0)
+    dynamics: Any = SimpleNamespace(parameters=[lag, SimpleNamespace(name="mass", null=None)])
+    model = SimpleNamespace(dynamics=dynamics, with_values=lambda values: str(values))
+    after = {"of the base": rows, "{'lag.tau': 0.001}": bare}
+    judges: Any = SimpleNamespace(rows=lambda old, _: after.get(old, ()), errors=lambda m: m)
+    judges.oppose = functools.partial(Judges.oppose, judges)
     run: Any = SimpleNamespace(
         _bent={},
         null=NULL,
         then=SimpleNamespace(errors="of then"),
         held_out=lambda at: "of the base" if at is NULL else None,
-        settled=lambda _: SimpleNamespace(model=SimpleNamespace(dynamics=None)),
+        settled=lambda _: SimpleNamespace(model=model),
         options=SimpleNamespace(known=known),
         flights=SimpleNamespace(data=None),
-        judges=SimpleNamespace(rows=lambda before, _: rows if before == "of the base" else ()),
+        judges=judges,
         unfitted=[],
     )
     run._opposed = functools.partial(_Run._opposed, run)
@@ -269,8 +277,30 @@ def test_names_that_what_has_no_name_stands_against_are_not_for_the_likelihood_t
         filtered=0.05,
     )
     for one, opposed in ((row, True), (replace(row, filtered=0.07), False)):
-        assert _Run.bent(on_flights(one), LAST) is opposed  # type: ignore[arg-type]
+        assert _Run.bent(on_flights(one, bare=(row,)), LAST) is opposed  # type: ignore[arg-type]
     assert len(asked) == 1
+
+
+def test_commands_that_answer_gusts_are_nothing_that_stands_against_a_name(asked):
+    """Gusts of torque under feedback: a craft with two delays, which both were right, foretold rates
+    1 s ahead a third worse than one without, which turned less at each command. At the same
+    numbers it foretells better with its delays than without, and they have their names again."""
+    row = GapRow(
+        group="rate",
+        unit="rad/s",
+        horizon_s=1.0,
+        before=2.22,
+        after=2.89,
+        floor=None,
+        closed=-0.7,
+        ci95=(-0.84, -0.53),
+        filtered=1.75,
+    )
+    better = replace(row, before=2.9, closed=0.0, ci95=(0.0, 0.02))
+    elsewhere = replace(row, horizon_s=0.5)
+    for bare in ((), (better,), (elsewhere,)):
+        assert not _Run.bent(on_flights(row, bare=bare), LAST)  # type: ignore[arg-type]
+    assert len(asked) == 3
 
 
 def test_laws_that_foretell_as_well_come_first(answered):
