@@ -161,11 +161,14 @@ def guess_columns(
     speeds = _along_the_body(columns)
     attitudes = list(_attitudes({n: v for n, v in columns.items() if n not in speeds}))
     turned = {n for _, names in attitudes for n in names}
-    for ends, stem, members in ((e, *family) for e in _AXES for family in _families(columns, e)):
+    triads = [(e, *family) for e in _AXES for family in _families(columns, e)]
+    stems = {stem for _, stem, _ in triads}
+    for ends, stem, members in triads:
         if set(members) == {0, 1, 2}:
             lone = not stem and _bare(members[0]).lower() == "x" and members[0] not in turned
             seen = ends is _AXES[0] and re.fullmatch(_CRAFT, re.split(r"[\W_]+", stem)[-1])
-            group = "position" if lone or seen else _meant(stem)
+            gyro = re.fullmatch(r"g|.*[\W_]g", stem) and f"{stem[:-1]}a" in stems
+            group = "position" if lone or seen else "rate" if gyro else _meant(stem)
             if group:
                 take(group, [members[i] for i in range(3)])
     for group, numbered in _by_number(columns):

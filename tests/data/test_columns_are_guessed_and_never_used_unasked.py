@@ -636,3 +636,12 @@ def test_the_columns_of_a_table_of_tables_are_names_and_no_units() -> None:
 def test_the_part_of_a_second_is_no_clock() -> None:
     parts = np.round((0.01 * np.arange(500.0)) % 1.0 * 1e9)
     assert guess_time({"header.stamp.nsecs": parts}) is None
+
+
+@pytest.mark.parametrize("stem", ["", "imu.", "('imu', '"])
+def test_g_beside_a_is_the_gyro(stem: str) -> None:
+    """gx, gy, gz alone may be the direction of gravity."""
+    end = "')" if stem.startswith("(") else ""
+    rates = axes(f"{stem}g", SWING, after=end)
+    assert guessed(rates) == {}
+    assert guessed(rates | axes(f"{stem}a", LEVEL, after=end))["rate"].fields == tuple(rates)
