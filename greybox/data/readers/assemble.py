@@ -8,6 +8,7 @@ rate; a setpoint is held like a command.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -54,18 +55,33 @@ _TIMES = (
 may be in any unit unless its type says so."""
 
 
+def _stamps_of_two(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The time [s] of stamps in two columns, as ROS has them: seconds, and nanoseconds in them."""
+    for name in columns:
+        stem = re.fullmatch(r"(.*[\W_])?secs?", name)
+        for part in ("nsec", "nsecs", "nanosec", "nanosecs"):
+            rest = f"{stem[1] or ''}{part}" if stem else ""
+            if rest in columns:
+                return {f"{name} + {rest}": columns[name] + 1e-9 * columns[rest]}
+    return {}
+
+
 def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
     """A log that is one table, as a recording of one stream. Raises `DataError` where no column is
     the time."""
     numbers = {k: v for k, v in table.columns.items() if is_numeric(v)}
+    stamps = _stamps_of_two(numbers)
+    numbers |= stamps
     called = {k.lower(): k for k in reversed(numbers)}
     named = mapping.time_field
     if named not in table.columns and "time" in mapping.optional:
         named = None
     typed = ["timestamp"] if called.get("timestamp") in table.seconds else []
-    name = named or next((called[k] for k in (*_TIMES, *typed) if k in called), None)
+    name = named or next(
+        (called[k] for k in (*_TIMES, *typed) if k in called), next(iter(stamps), None)
+    )
     if name is None or name not in numbers:
-        if name is not None and name not in table.columns:
+        if name is not None and name not in {*table.columns, *stamps}:
             raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
         raise DataError(
             "no column 't' for the time",
@@ -77,7 +93,7 @@ def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recordi
         mapping = LogMapping()  # what it says is said of a column that is not there
     unit, factor = mapping.time_unit, mapping.time_scale
     if unit is None:  # a scale alone is the whole way to seconds
-        stated = factor is not None or name in table.seconds
+        stated = factor is not None or name in {*table.seconds, *stamps}
         unit = (
             "s" if stated else next((u for u in TIME_UNITS if name.lower().endswith("_" + u)), "s")
         )
