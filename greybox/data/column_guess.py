@@ -231,7 +231,12 @@ def guess_streams(
     }
     found = guess_columns({k: streams[n][f] for k, (n, f) in origin.items()}, without)
     return tuple(
-        replace(g, stream=origin[g.fields[0]][0], fields=tuple(origin[f][1] for f in g.fields))
+        replace(
+            g,
+            stream=origin[g.fields[0]][0],
+            fields=tuple(origin[f][1] for f in g.fields),
+            why=f"in {origin[g.fields[0]][0]}; {g.why}",
+        )
         for g in found
     )
 

@@ -7,6 +7,8 @@ sensor is a flight by itself: where it stands alone or beside another the folder
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,14 +21,14 @@ from greybox.data.raw import is_numeric
 from greybox.data.readers.assemble import stream_of_table
 from greybox.data.readers.mapping import TABLE, LogMapping
 from greybox.data.readers.parquet import read_parquet
-from greybox.data.readers.recording import LogFormat, Recording, Stream, checked_file
+from greybox.data.readers.recording import LogFormat, Recording, Stream
 from greybox.errors import DataError
 
 _READ = {".csv": read_csv, ".csv.gz": read_csv, ".parquet": read_parquet}
 DRIVEN = frozenset({"command", "rotor_speed"})
 MEASURED = frozenset({"rate", "specific_force", "attitude", "position", "velocity"})
-MOST = 300
-"""Tables that are read of one folder."""
+MOST, SEEN = 300, 20_000
+"""Tables that are read of one folder, and files among which they are looked for, images too."""
 
 
 def read_folder(path: Path) -> Recording:
@@ -63,7 +65,7 @@ def read_folder(path: Path) -> Recording:
     return Recording(
         format=FORMAT.name,
         source=path.name,
-        sha256=checked_file(path),
+        sha256=hashlib.sha256("".join(t.sha256 for t in tables.values()).encode()).hexdigest(),
         streams=streams,
         notes=tuple(notes),
     )
@@ -77,7 +79,8 @@ def _is_flight(stream: Stream) -> bool:
 
 def _tables(path: Path) -> Iterator[tuple[str, Path]]:
     """(name of the stream, file) of the tables of a folder."""
-    files = sorted(f for f in path.rglob("*") if f.is_file() and _ending(f))
+    found = (f for deep in ("*", "*/*", "*/*/*") for f in path.glob(deep))
+    files = sorted(f for f in itertools.islice(found, SEEN) if _ending(f) and f.is_file())
     for file in files[:MOST]:
         yield file.relative_to(path).as_posix().removesuffix(_ending(file)), file
 
