@@ -50,6 +50,8 @@ _ROTOR = r"rotors?"
 """A word of commands that may mean a speed, too."""
 _THRUST = r"thrusts?"
 """A word of commands that may mean a force, too, which no share is."""
+_PULSE = r"u|pwm|cmd|command|controls?|ctrl|outputs?"
+"""Words of what goes to a rotor, which no speed is that comes back."""
 _STICKS = r"channels?|rc\w*|sticks?|joy\w*"
 """Words of a pilot's sticks, which turn nothing by themselves."""
 _OPEN = r"controls?|ctrl|w"
@@ -245,7 +247,12 @@ def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
     """(group, names) of columns that are numbered from 0 or 1 on, one a rotor."""
     families = _families(columns, {str(i): i for i in range(13)})
     stems = {stem for stem, _ in families}
-    asked_of = {base: stem for stem in stems if (base := _asked_of(stem)) in stems}
+    shares = {s for s, m in families if _known(m.values(), columns).max(initial=0.0) <= 100.0}
+    asked_of = {
+        base: stem
+        for stem in stems
+        if (base := _asked_of(stem)) in stems - shares and not _says(base, _PULSE)
+    }
     for stem, every in families:
         there = {i: n for i, n in every.items() if np.isfinite(columns[n]).any()}
         members = there or every

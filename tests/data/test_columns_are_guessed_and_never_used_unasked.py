@@ -578,6 +578,13 @@ def test_what_is_measured_and_asked_of_each_rotor_is_its_speed() -> None:
         assert found["command"].limits is None and "add limits" in found["command"].why
 
 
+def test_what_goes_to_a_rotor_twice_is_no_speed() -> None:
+    pulses = axes("pwm_ref", SPEEDS + 300.0, "1234") | axes("pwm", SPEEDS + 300.0, "1234")
+    assert set(guessed(pulses)) == {"command"}
+    shares = axes("motor_des", SPEEDS / 2e3, "1234") | axes("motor", SPEEDS / 2e3, "1234")
+    assert set(guessed(shares)) == {"command"}
+
+
 def test_a_thrust_of_each_rotor_is_a_command_where_it_is_a_share() -> None:
     assert "command" in guessed(axes("thrust[", np.linspace(0.2, 0.8, 50), "0123", "]"))
     assert guessed(axes("thrust[", np.linspace(0.5, 3.0, 50), "0123", "]")) == {}
