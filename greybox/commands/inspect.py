@@ -92,7 +92,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.draft:
         if not guesses:
             raise DataError("no column looks like a channel that is missing", where=arguments.log)
-        write_atomic(arguments.draft, draft(guesses, time, (g.group for g in found.groups)))
+        there = (g.group for g in found.groups)
+        text_of = draft(guesses, time, there, clocked=clocked(found))
+        write_atomic(arguments.draft, text_of)
     if arguments.out:
         if found.raw is None:
             raise DataError(f"nothing to write to {arguments.out}: {found.problem}")
@@ -135,15 +137,24 @@ def guessed(guesses: Sequence[Guess], time: tuple[str, str] | None) -> list[Gues
 
 
 def looks(found: Inspection, *, named: bool) -> tuple[tuple[Guess, ...], tuple[str, str] | None]:
-    """(guesses, time column) of a table with columns of its own; nothing where a mapping file says
+    """(guesses, time column) of tables with columns of their own; nothing where a mapping file says
     what they are."""
-    from greybox.data.column_guess import guess_columns, guess_time
+    from greybox.data.column_guess import guess_columns, guess_streams, guess_time
+    from greybox.data.readers.folder import FORMAT
     from greybox.data.readers.mapping import TABLE
 
+    if found.format is FORMAT and not named:
+        tables = {n: s.fields for n, s in found.recording.streams.items()}
+        return guess_streams(tables, without={g.group for g in found.groups}), None
     if named or found.format.table is None or TABLE not in found.recording.streams:
         return (), None
     columns = found.recording.streams[TABLE].fields
     return guess_columns(columns, without={g.group for g in found.groups}), guess_time(columns)
+
+
+def clocked(found: Inspection) -> bool:
+    """Whether a log has a time."""
+    return any(s.rate > 0.0 for s in found.recording.streams.values())
 
 
 def beside(log: str, found: Inspection) -> str | None:
@@ -191,8 +202,9 @@ def advice(
         again = f"greybox inspect {log}"
         again += f" --vehicle {shlex.quote(arguments.vehicle)}" if arguments.vehicle else ""
         if arguments.draft:
-            clocked = any(s.rate > 0.0 for s in found.recording.streams.values())
-            fill = "" if time or clocked else "no column looks like a clock: fill in [time], "
+            fill = (
+                "" if time or clocked(found) else "no column looks like a clock: fill in [time], "
+            )
             like = {g["group"] for g in content["looks_like"]} | {g.group for g in found.groups}
             if like.isdisjoint(("command", "rotor_speed")):
                 fill += "no columns look like commands: fill in [command], "
@@ -206,7 +218,7 @@ def advice(
         from greybox.model.vehicle_template import TEMPLATES
 
         start, names = f"--from {log}", "what the log knows of the craft"
-        if found.format.table is not None:
+        if found.format.table is not None or found.format.name == "folder":
             start, names = "--template NAME", ", ".join(TEMPLATES)
         out.append(
             f"a vehicle file: greybox vehicle new {start} --out V.toml ({names}; docs/vehicle.md)"

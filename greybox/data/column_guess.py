@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.data.direction import axis_of_thrust
 from greybox.data.raw import FloatArray
 from greybox.data.readers.mapping import SCHEMA, TIME_UNITS, mapping_text
 from greybox.files import Json
@@ -24,20 +25,35 @@ _AXES = ({"x": 0, "y": 1, "z": 2}, {str(i): i for i in range(4)})
 _RATES_OF_PLACE = {f"{axis}{link}dot": i for i, axis in enumerate("xyz") for link in ("", "_")}
 _WORDS = {
     "specific_force": r"acc\w*|a|specificforce|linearacceleration",
-    "rate": r"gyr\w*|angvel|angularvelocity|twistangular|bodyrates?|rates?|w",
-    "velocity": r"v|vel|velocity|linvel|linearvelocity|twistlinear",
+    "rate": r"gyr\w*|angvel|angularvelocity|velocityangular|twistangular|bodyrates?|rates?|omega|w",
+    "velocity": r"v|vel|velocity|linvel|linearvelocity|velocitylinear|twistlinear",
     "position": r"p|pos|position",
     "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|des|desired",
 }
+_CRAFT = r"drone|uav|quad\w*|pose|state\w*|odom\w*|mocap|vicon|optitrack"
+"""Words of the craft and of who sees it, whose x, y, z are its position."""
+_TURNED_FASTER = r"ang\w*acc\w*"
+_FRAME = r"[rs]|rs|b|w|i|body|world|inertial|local|global|map|imu|enu|ned|flu|frd"
+"""Words and letters of axes behind the word of what stands in them: w_RS_S, vel_body."""
+_IN_FRAME = re.compile(rf"(.+)[\W_]+({_FRAME})")
+_ALONG = {"FLU": "b|body|flu", "FRD": "frd", "ENU": "w|world|inertial|global|enu", "NED": "ned"}
+_NO_NAME = frozenset({"xyz", "signals", "values", "data"})
+"""Words of containers, which say nothing of what is in them."""
 _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|w|rotorspeed|motorspeed|escspeed|angularvelocities",
-    "command": r"m|u|motors?|rotors?|pwm|cmd|command|controls?|ctrl|esc|act|actuators?|outputs?"
+    "command": r"m|u|mots?|motors?|rotors?|thrusts?|pwm|cmd|command|controls?|ctrl|esc|act|actuators?|outputs?"
     r"|outchannels",
 }
 _ODOMETRY = re.compile(r"twist\W+twist\W+linear\W")
 """The velocity of ROS's nav_msgs/Odometry, which is along the axes of the body."""
 _ROTOR = r"rotors?"
 """A word of commands that may mean a speed, too."""
+_THRUST = r"thrusts?"
+"""A word of commands that may mean a force, too, which no share is."""
+_PULSE = r"u|pwm|cmd|command|controls?|ctrl|outputs?"
+"""Words of what goes to a rotor, which no speed is that comes back."""
+_STICKS = r"channels?|rc\w*|sticks?|joy\w*"
+"""Words of a pilot's sticks, which turn nothing by themselves."""
 _OPEN = r"controls?|ctrl|w"
 """Words of rotors that may mean a torque or a weight, too, which a rotor's number is not: that has
 no sign."""
@@ -47,6 +63,8 @@ _ASKED = rf"cmd|command|actions?|{_WORDS['setpoint']}"
 """Words of what somebody asked for, so that nothing was measured, and a speed of the rotors is a
 command."""
 _SPEED = re.compile(r"rpm|omega|speed|(?<![a-z])w(?![a-z])")
+_SPEED_ASKED = re.compile(rf"{_SPEED.pattern}|des|ref|target|setpoint")
+"""The same of commands: what a rotor is to reach is a speed."""
 _TURNS = (
     {"w": 0, "x": 1, "y": 2, "z": 3},
     {"roll": 0, "pitch": 1, "yaw": 2},
@@ -79,7 +97,7 @@ _UNITS = {
 }
 """Units as names of columns say them, "Gyro X (deg/s)", per group; a column with the unit of
 another group is none."""
-_UNIT = re.compile(r"\s*[(\[]\s*([^\d\s)\]][^)\]]*?)\s*[)\]]\s*$")
+_UNIT = re.compile(r"(?<=\S)\s*[(\[]\s*([^\d\s)\]'][^)\]]*?|)\s*[)\]]\s*$")
 _WRITTEN = {
     form: unit
     for units in _UNITS.values()
@@ -126,6 +144,8 @@ class Guess:
     frame: str = ""
     limits: tuple[float, float] | None = None
     scale: float = 1.0
+    gravity: bool = True
+    stream: str = ""
     why: str = ""
 
 
@@ -143,10 +163,14 @@ def guess_columns(
     speeds = _along_the_body(columns)
     attitudes = list(_attitudes({n: v for n, v in columns.items() if n not in speeds}))
     turned = {n for _, names in attitudes for n in names}
-    for stem, members in (family for ends in _AXES for family in _families(columns, ends)):
+    triads = [(e, *family) for e in _AXES for family in _families(columns, e)]
+    stems = {stem for _, stem, _ in triads}
+    for ends, stem, members in triads:
         if set(members) == {0, 1, 2}:
             lone = not stem and _bare(members[0]).lower() == "x" and members[0] not in turned
-            group = "position" if lone else _meant(stem)
+            seen = ends is _AXES[0] and re.fullmatch(_CRAFT, re.split(r"[\W_]+", stem)[-1])
+            gyro = re.fullmatch(r"g|.*[\W_]g", stem) and f"{stem[:-1]}a" in stems
+            group = "position" if lone or seen else "rate" if gyro else _meant(stem)
             if group:
                 take(group, [members[i] for i in range(3)])
     for group, numbered in _by_number(columns):
@@ -174,7 +198,7 @@ def guess_columns(
     return _framed(
         _sized(
             group,
-            min(found[group], key=lambda names: bool(_LESS.search(names[0].lower()))),
+            min(found[group], key=lambda names: _rank(group, names, columns)),
             columns,
         )
         for group in (*_NUMBERED, "battery", "attitude", *_WORDS)
@@ -182,15 +206,68 @@ def guess_columns(
     )
 
 
+def _rank(
+    group: str, names: Sequence[str], columns: Mapping[str, FloatArray]
+) -> tuple[int, bool, int]:
+    """What of a group is taken first: a quaternion, a matrix, angles, whose order and signs no name
+    tells; a force with gravity; then what is measured; then what says least more, as a bias does.
+    """
+    last = 0
+    if group == "attitude":
+        last = {4: 0, 9: 1}.get(len(names), 2)
+    elif group == "specific_force":
+        last = int(not axis_of_thrust(np.column_stack([columns[n] for n in names])))
+    return last, bool(_LESS.search(names[0].lower())), len(re.split(r"[\W_]+", names[0]))
+
+
+def guess_streams(
+    streams: Mapping[str, Mapping[str, FloatArray]], without: Iterable[str] = ()
+) -> tuple[Guess, ...]:
+    """As `guess_columns`, of several tables by name, whose names say what is in them as well; a
+    guess has columns of one table."""
+    # The number of an instance stands behind the name, and says nothing.
+    origin = {
+        f"{re.sub(r'_[0-9]+$', '', name)}/{field}": (name, field)
+        for name, fields in reversed(list(streams.items()))
+        for field in fields
+    }
+    found = guess_columns({k: streams[n][f] for k, (n, f) in origin.items()}, without)
+    return tuple(
+        replace(
+            g,
+            stream=origin[g.fields[0]][0],
+            fields=tuple(origin[f][1] for f in g.fields),
+            why=f"in {origin[g.fields[0]][0]}; {g.why}",
+        )
+        for g in found
+    )
+
+
 def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[str]]]:
     """(group, names) of columns that are numbered from 0 or 1 on, one a rotor."""
-    for stem, members in _families(columns, {str(i): i for i in range(13)}):
+    families = _families(columns, {str(i): i for i in range(13)})
+    stems = {stem for stem, _ in families}
+    shares = {s for s, m in families if _known(m.values(), columns).max(initial=0.0) <= 100.0}
+    asked_of = {
+        base: stem
+        for stem in stems
+        if (base := _asked_of(stem)) in stems - shares and not _says(base, _PULSE)
+    }
+    for stem, every in families:
+        there = {i: n for i, n in every.items() if np.isfinite(columns[n]).any()}
+        members = there or every
         first, count = min(members), len(members)
         if first not in (0, 1) or not 3 <= count <= 8 or max(members) != first + count - 1:
             continue
         if count < 4 and _says(stem, _WORDS["rate"]):
             continue
         group = _said(stem, _NUMBERED)
+        if stem in asked_of or stem in asked_of.values():
+            # what is asked for and measured, rotor by rotor
+            group = "rotor_speed" if stem in asked_of else "command"
+            if _known(members.values(), columns).min(initial=0.0) >= 0.0:
+                yield group, [members[i] for i in sorted(members)]
+            continue
         if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
             group = "rotor_speed"
         if group == "command" and not _commanded(stem, members.values(), columns):
@@ -203,6 +280,12 @@ def _by_number(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[st
             yield group, [members[i] for i in sorted(members)]
 
 
+def _asked_of(stem: str) -> str:
+    """The stem of what a stem asks for: mot of motdes or mot_des; "" where it asks for nothing."""
+    match = re.fullmatch(rf"(.+?)[\W_]*(?:{_ASKED})", stem)
+    return match[1] if match else ""
+
+
 def _along_the_body(columns: Iterable[str]) -> list[str]:
     """The names u, v, w of velocities along the axes of the body; none where not all are there."""
     found = (m for stem, m in _families(columns, {"u": 0, "v": 1, "w": 2}) if not stem)
@@ -210,15 +293,32 @@ def _along_the_body(columns: Iterable[str]) -> list[str]:
 
 
 def _attitudes(columns: Mapping[str, FloatArray]) -> Iterator[tuple[str, list[str]]]:
-    """(group, names) of a quaternion with its scalar first, of angles, whose order and signs no
-    name tells, or of the turning of angles' names."""
+    """(group, names) of a quaternion with its scalar first, of a rotation matrix row by row, of
+    angles, or of the turning of angles' names."""
     quaternion, *angles = _TURNS
     yield from _turns(columns, quaternion)
     for stem, members in _families(columns, {str(i): i for i in range(4)}):
         if len(members) == 4 and not _wanted(stem) and _says(stem, _QUATERNION):
             yield "attitude", _scalar_first([members[i] for i in range(4)], columns)
+    for first in (0, 1):
+        places = {f"{first + i}{first + j}": 3 * i + j for i in range(3) for j in range(3)}
+        for ends in (places, {str(first + i): i for i in range(9)}):
+            for stem, members in _families(columns, ends):
+                names = [members[i] for i in sorted(members)]
+                if len(names) == 9 and not _wanted(stem) and _turning(names, columns):
+                    yield "attitude", names
     for ends in angles:
         yield from _turns(columns, ends)
+
+
+def _turning(names: Sequence[str], columns: Mapping[str, FloatArray]) -> bool:
+    """Whether nine columns are a rotation matrix that changes."""
+    matrices = np.column_stack([columns[n] for n in names]).reshape(-1, 3, 3)
+    matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
+    if not matrices.size or not np.ptp(matrices, axis=0).any():
+        return False
+    off = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    return float(np.median(off)) < 0.01
 
 
 def _turns(
@@ -226,7 +326,7 @@ def _turns(
 ) -> Iterator[tuple[str, list[str]]]:
     """The same of names that end like this."""
     for stem, members in _families(columns, ends):
-        if len(members) != len(ends) or _among(stem, _ASKED) or stem in _OF_TIME:
+        if len(members) != len(ends) or _among(stem, rf"{_ASKED}|{_STICKS}") or stem in _OF_TIME:
             continue
         turning = len(ends) == 3 and _says(stem, _WORDS["rate"])
         yield "rate" if turning else "attitude", [members[i] for i in range(len(ends))]
@@ -256,7 +356,10 @@ def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
     along = f"along the body, z {'down' if down else 'up, as nothing says down'}"
     return tuple(
         replace(g, frame="FRD" if down else "FLU", why=f"{g.why}; {along}")
-        if g.group == "velocity" and _bare(g.fields[0]).lower() == "u"
+        if g.group == "velocity"
+        and (_bare(g.fields[0]).lower() == "u" or _axes_of(g.fields[0]) in ("FLU", "FRD"))
+        else replace(g, frame=_axes_of(g.fields[0]), why=f"{g.why}; along the world, by the name")
+        if g.group in ("rate", "specific_force") and _axes_of(g.fields[0]) in ("ENU", "NED")
         else replace(g, frame="FLU", why=f"{g.why}; along the body, as nav_msgs/Odometry says")
         if g.group == "velocity" and _ODOMETRY.search(g.fields[0].lower())
         else replace(g, frame=g.frame or frames.get(g.group, ""))
@@ -264,12 +367,23 @@ def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
     )
 
 
+def _axes_of(name: str) -> str:
+    """The frame that stands behind a word, vel_body_x; "" where none does."""
+    match = _IN_FRAME.fullmatch(re.sub(r"[\W_]*[xyz0-9]\W*$", "", _bare(name).lower()))
+    last = match[2] if match else ""
+    return next((frame for frame, words in _ALONG.items() if re.fullmatch(words, last)), "")
+
+
 def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
-    """(column, unit) of the clock: it grows, it has the name of a clock, and its steps are those of
-    1 Hz to 20 kHz in the unit that the name says, else those of 20 Hz to 4 kHz."""
+    """(column, unit) of the clock: it grows and does not begin anew, it has the name of a clock,
+    and its steps are those of 1 Hz to 20 kHz in the unit that the name says, else those of 20 Hz to
+    4 kHz."""
     for name, values in columns.items():
         step = np.diff(values[np.isfinite(values)])
-        if not _TIME.fullmatch(_bare(name).lower()) or step.size < 2 or np.mean(step > 0) < 0.9:
+        called = re.sub(r"\W+$", "", _bare(name).lower())
+        if not _TIME.fullmatch(called) or step.size < 2 or np.mean(step > 0) < 0.9:
+            continue
+        if step.sum() < 0.5 * step[step > 0].sum():  # the part of a second, which wraps
             continue
         middle = float(np.median(step[step > 0]))
         said = _time_unit(name)
@@ -307,21 +421,28 @@ NO_COMMAND = """# No columns look like commands. Fill in, in the order of the ve
 
 
 def draft(
-    guesses: Sequence[Guess], time: tuple[str, str] | None, without: Iterable[str] = ()
+    guesses: Sequence[Guess],
+    time: tuple[str, str] | None,
+    without: Iterable[str] = (),
+    *,
+    clocked: bool = False,
 ) -> str:
     """A mapping file (docs/logs.md) that says what was guessed, to be looked over; groups of
-    `without` need none."""
+    `without` need none, and no time where the log is `clocked`."""
     content: dict[str, Json] = {"schema": SCHEMA}
     if time is not None:
         content["time"] = {"field": time[0], "unit": time[1]}
     for g in guesses:
-        said = {"fields": g.fields, "unit": g.unit, "frame": g.frame, "limits": g.limits}
+        said: dict[str, Json] = {"stream": g.stream, "fields": g.fields, "unit": g.unit}
+        said |= {"frame": g.frame, "limits": g.limits}
         content[g.group] = {k: v for k, v in said.items() if v} | (
             {"scale": g.scale} if g.scale != 1.0 else {}
         )
+        if not g.gravity:
+            content[g.group] = {**content[g.group], "gravity": False}  # type: ignore[dict-item]
     head = "# A guess from names and sizes: look over axes, units and the order of the rotors.\n"
     text = mapping_text(content, comments={g.group: g.why for g in guesses})
-    more = "" if time is not None else NO_TIME
+    more = "" if clocked or time is not None else NO_TIME
     driven = not set(_NUMBERED).isdisjoint({*without, *content})
     return head + text + more + ("" if driven else NO_COMMAND)
 
@@ -335,7 +456,7 @@ def _families(
     for name in columns:
         pattern = (
             rf"(.*?)[\W_]*(?:0(?=\d))?({'|'.join(sorted(ends, key=len, reverse=True))})"
-            rf"\W*(?:[\W_]+({_AFTER}))?"
+            rf"\W*(?:[\W_]*({_AFTER}))?\W*"
         )
         match = re.fullmatch(pattern, _bare(name), re.IGNORECASE)
         if match is not None:
@@ -356,7 +477,7 @@ def _unit_of(name: str) -> str:
     if written:
         return _WRITTEN[written[2].lower()]
     said = _UNIT.search(name)
-    return said[1].lower() if said else ""
+    return re.sub(r" s\^?-1$", "/s", re.sub(r" s\^?-2$", "/s^2", said[1].lower())) if said else ""
 
 
 def _may_be(group: str, name: str) -> bool:
@@ -381,10 +502,13 @@ def _commanded(stem: str, names: Iterable[str], columns: Mapping[str, FloatArray
     names = tuple(names)
     *before, last = re.split(r"[\W_]+", stem)
     said = any(re.fullmatch(_NUMBERED["command"], word) for word in before)
-    if said or not re.fullmatch(_ROTOR, last) or _unit_of(names[0]) in _UNITS["command"]:
+    if said or not re.fullmatch(rf"{_ROTOR}|{_THRUST}", last):
+        return True
+    if _unit_of(names[0]) in _UNITS["command"]:
         return True
     known = _known(names, columns)
-    return bool(known.size) and known.min() >= 0.0 and known.max() <= 100.0
+    most = 1.0 if re.fullmatch(_THRUST, last) else 100.0
+    return bool(known.size) and known.min() >= 0.0 and known.max() <= most
 
 
 def _known(names: Iterable[str], columns: Mapping[str, FloatArray]) -> FloatArray:
@@ -398,7 +522,7 @@ def _meant(stem: str) -> str:
     if _wanted(stem):
         others = [_OTHERS, *(w for g, w in _WORDS.items() if g not in ("position", "setpoint"))]
         return "" if any(_among(stem, o) for o in others) else "setpoint"
-    if _among(stem, _ABOUT) or _among(stem, _ASKED):
+    if _among(stem, rf"{_ABOUT}|{_ASKED}") or _says(stem, _TURNED_FASTER):
         return ""
     return _said(stem, _WORDS)
 
@@ -417,9 +541,12 @@ def _says(stem: str, words: str) -> bool:
 
 def _run(stem: str, words: str) -> int:
     """How many of the last words of a stem, written as one, are one of these; 0 for none."""
-    parts = [part for part in re.split(r"[\W_]+", stem) if part != "xyz"]
+    parts = [part for part in re.split(r"[\W_]+", stem) if part and part not in _NO_NAME]
     runs = (n for n in range(len(parts), 0, -1) if re.fullmatch(words, "".join(parts[-n:])))
-    return next(runs, 0)
+    if (run := next(runs, 0)) or words in _NUMBERED.values():  # a rotor's number is along no axis
+        return run
+    framed = _IN_FRAME.fullmatch("_".join(parts))
+    return _run(framed[1], words) if framed else 0
 
 
 def _unit_of_gravity(norm: float) -> str:
@@ -460,16 +587,26 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
     low, high = float(values.min()), float(values.max())
     size = max(-low, high)
     unit, limits, why, frame, scale = "", None, f"values from {low:.4g} to {high:.4g}", "", 1.0
+    gravity = True
     if group == "rate":
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
         norm = float(np.median(np.linalg.norm(values, axis=1)))
         unit = _unit_of_gravity(norm)
-        why = f"middle length {norm:.3g}" + ("" if unit else ": of no known unit")
+        why = f"middle length {norm:.3g}" + (
+            "" if unit else ": of no known unit, scale = 9.81 / at rest"
+        )
+        if not axis_of_thrust(values):
+            gravity, unit = False, ""
+            why += (
+                ", in no lasting direction: gravity was taken out (along the world: frame = 'ENU')"
+            )
         if float(np.median(values[:, 2])) < -0.5 * norm:
             frame, why = "FRD", f"{why}, z negative: z is down"
     elif group == "command":
-        asked_speed = _SPEED.search(names[0].lower()) or _unit_of(names[0]) in _UNITS["rotor_speed"]
+        asked_speed = (
+            _SPEED_ASKED.search(names[0].lower()) or _unit_of(names[0]) in _UNITS["rotor_speed"]
+        )
         limits = None if asked_speed else range_of_commands(low, high)
         if limits is None and not 0.0 <= low <= high <= 1.0:
             why += ": add limits = [what is u = 0, what is u = 1]"
@@ -500,5 +637,12 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         why = f"middle length {norm:.3g}: not gravity in that unit"
     unit = stated
     return Guess(
-        group=group, fields=names, unit=unit, frame=frame, limits=limits, scale=scale, why=why
+        group=group,
+        fields=names,
+        unit=unit,
+        frame=frame,
+        limits=limits,
+        scale=scale,
+        gravity=gravity,
+        why=why,
     )

@@ -15,7 +15,7 @@ import pytest
 
 import greybox
 from greybox.cli import main
-from greybox.data.column_guess import draft, guess_columns, guess_time
+from greybox.data.column_guess import Guess, draft, guess_columns, guess_time
 from greybox.data.inspection import inspect_log
 from greybox.data.logs import read_log
 from greybox.examples import flight_path, vehicle_path
@@ -546,3 +546,109 @@ def test_numbers_beside_axes_take_nothing_from_them(stem: str, group: str) -> No
 def test_what_has_a_sign_drives_no_rotor(stem: str) -> None:
     signed = {f"{stem}[{i}]": np.linspace(-1.0, 1.0, 50) for i in range(4)}
     assert guess_columns(signed) == ()
+
+
+def guessed(values: dict[str, object]) -> dict[str, Guess]:
+    columns = {n: np.broadcast_to(np.asarray(v, dtype=float), 50) for n, v in values.items()}
+    return {g.group: g for g in guess_columns(columns)}
+
+
+def axes(stem: str, value: object, ends: str = "xyz", after: str = "") -> dict[str, object]:
+    return {f"{stem}{end}{after}": value for end in ends}
+
+
+SWING = np.linspace(-1.0, 1.0, 50)
+SPEEDS = np.linspace(800.0, 1500.0, 50)
+LEVEL = np.linspace(9.0, 11.0, 50)
+
+
+def test_an_acceleration_of_the_angle_is_no_specific_force() -> None:
+    """Columns of NeuroBEM, whose first is "ang acc x"."""
+    found = guessed(axes("ang acc ", SWING) | axes("ang vel ", SWING) | axes("acc ", LEVEL))
+    assert found["specific_force"].fields == ("acc x", "acc y", "acc z")
+    assert found["rate"].fields == ("ang vel x", "ang vel y", "ang vel z")
+    assert guessed(axes("ang acc ", SWING)) == {}
+
+
+def test_what_is_measured_and_asked_of_each_rotor_is_its_speed() -> None:
+    for stem, asked, after in (("mot_", "motdes_", ""), ("r", "r", "des")):
+        found = guessed(axes(asked, SPEEDS, "1234", after) | axes(stem, SPEEDS, "1234"))
+        assert found["rotor_speed"].fields == tuple(f"{stem}{i}" for i in "1234")
+        assert found["command"].fields == tuple(f"{asked}{i}{after}" for i in "1234")
+        assert found["command"].limits is None and "add limits" in found["command"].why
+
+
+def test_what_goes_to_a_rotor_twice_is_no_speed() -> None:
+    pulses = axes("pwm_ref", SPEEDS + 300.0, "1234") | axes("pwm", SPEEDS + 300.0, "1234")
+    assert set(guessed(pulses)) == {"command"}
+    shares = axes("motor_des", SPEEDS / 2e3, "1234") | axes("motor", SPEEDS / 2e3, "1234")
+    assert set(guessed(shares)) == {"command"}
+
+
+def test_a_thrust_of_each_rotor_is_a_command_where_it_is_a_share() -> None:
+    assert "command" in guessed(axes("thrust[", np.linspace(0.2, 0.8, 50), "0123", "]"))
+    assert guessed(axes("thrust[", np.linspace(0.5, 3.0, 50), "0123", "]")) == {}
+
+
+def test_letters_of_axes_stand_behind_what_is_along_them() -> None:
+    """Columns of EuRoC, a bias first; velocities of the body and accelerations of the world."""
+    names = axes("b_a_RS_S_", 0.1, after=" [m s^-2]") | axes("w_RS_S_", SWING, after=" [rad s^-1]")
+    names |= axes("a_RS_S_", LEVEL, after=" [m s^-2]") | axes("q_RS_", 0.5, "wxyz", " []")
+    found = guessed(names | axes("p_RS_R_", SWING, after=" [m]"))
+    assert set(found) == {"specific_force", "rate", "position", "attitude"}
+    assert found["specific_force"].fields[0] == "a_RS_S_x [m s^-2]"
+    assert (found["rate"].unit, found["specific_force"].unit) == ("rad/s", "m/s^2")
+    found = guessed(axes("vel_body_", SWING) | axes("omega_world_", SWING))
+    assert (found["velocity"].frame, found["rate"].frame) == ("FLU", "ENU")
+
+
+def test_a_place_is_that_of_the_craft_and_sticks_turn_nothing() -> None:
+    """Columns of a race of drones, and of a Crazyflie's log."""
+    sticks = {f"channels_{c}": 1500 + 400 * SWING for c in ("roll", "pitch", "yaw")}
+    found = guessed(axes("drone_", SWING) | axes("gate1_int_", 2.0) | sticks)
+    assert set(found) == {"position"} and found["position"].fields[0] == "drone_x"
+    names = axes("stateEstimate.", SWING) | axes("stateEstimate.q", 0.5, "wxyz")
+    found = guessed(names | {f"stabilizer.{c}": SWING for c in ("roll", "pitch", "yaw")})
+    assert found["attitude"].fields[0] == "stateEstimate.qw"
+    assert found["position"].fields[0] == "stateEstimate.x"
+
+
+@pytest.mark.parametrize("ends", [[f"{i}{j}" for i in "123" for j in "123"], list("012345678")])
+def test_nine_numbers_that_turn_are_an_attitude(ends: list[str]) -> None:
+    c, s, zero = np.cos(SWING), np.sin(SWING), np.zeros(50)
+    turning = (c, -s, zero, s, c, zero, zero, zero, zero + 1.0)
+    names = [f"rot{e}" for e in ends]
+    (guess,) = guess_columns(dict(zip(names, turning, strict=True)))
+    assert (guess.group, guess.fields) == ("attitude", tuple(names))
+    assert guess_columns(dict(zip(names, (*turning[:8], 2.0 + zero), strict=True))) == ()
+    still = dict(zip(names, np.repeat(np.eye(3).reshape(9, 1), 50, axis=1), strict=True))
+    assert guess_columns(still) == ()
+
+
+def test_an_acceleration_without_gravity_is_drafted_as_one(tmp_path: Path) -> None:
+    columns = {f"acc_{a}": np.roll(3.0 * SWING, 12 * i) for i, a in enumerate("xyz")}
+    (guess,) = guess_columns(columns)
+    assert not guess.gravity and "gravity was taken out" in guess.why
+    said = tomllib.loads(draft((guess,), ("t", "s")))
+    assert said["specific_force"]["gravity"] is False
+
+
+def test_the_columns_of_a_table_of_tables_are_names_and_no_units() -> None:
+    """pandas flattens ("imu", "ax") into one text."""
+    names = {f"('imu', 'a{a}')": LEVEL for a in "xyz"} | {f"('cmd', 'm{i}')": 0.5 for i in "1234"}
+    assert set(guessed(names)) == {"specific_force", "command"}
+    assert guess_time({"('time', 't')": 0.01 * np.arange(50.0)}) == ("('time', 't')", "s")
+
+
+def test_the_part_of_a_second_is_no_clock() -> None:
+    parts = np.round((0.01 * np.arange(500.0)) % 1.0 * 1e9)
+    assert guess_time({"header.stamp.nsecs": parts}) is None
+
+
+@pytest.mark.parametrize("stem", ["", "imu.", "('imu', '"])
+def test_g_beside_a_is_the_gyro(stem: str) -> None:
+    """gx, gy, gz alone may be the direction of gravity."""
+    end = "')" if stem.startswith("(") else ""
+    rates = axes(f"{stem}g", SWING, after=end)
+    assert guessed(rates) == {}
+    assert guessed(rates | axes(f"{stem}a", LEVEL, after=end))["rate"].fields == tuple(rates)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import gzip
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -227,3 +228,22 @@ def test_a_long_log_is_read_whole():
         flight_path("arpl_crazyflie", "log15"), read_vehicle(vehicle_path("arpl_crazyflie"))
     )
     assert raw.n == 44299 + 1
+
+
+def test_a_second_row_of_the_header_is_names_or_units(tmp_path: Path) -> None:
+    rows = "0.0,1.0,2.0,x\n0.1,3.0,4.0,y\n"
+    for text, names in (
+        ("time,imu,imu,\nt,ax,ay,flag\n", ["time.t", "imu.ax", "imu.ay", "flag"]),
+        ("time,gyro_x,gyro_y,mode\n(s),[deg/s],deg/s,\n", ["time [s]", "gyro_x [deg/s]"]),
+    ):
+        (tmp_path / "a.csv").write_text(text + rows)
+        table = read_csv(tmp_path / "a.csv")
+        assert list(table.columns)[: len(names)] == names
+        assert len(table.rows) == 2 and table.rows[0] == 3
+
+
+def test_a_first_row_without_numbers_is_no_header(tmp_path: Path) -> None:
+    """A craft that stands still says its mode alone, and one column of text is one of text."""
+    (tmp_path / "a.csv").write_text("t,p,q,mode\n,,,IDLE\n0.1,3.0,4.0,y\n")
+    table = read_csv(tmp_path / "a.csv")
+    assert list(table.columns) == ["t", "p", "q", "mode"] and len(table.rows) == 2

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greybox.data.checks.attitude import MEND, quaternion_readings
-from greybox.data.checks.gravity import axis_of_thrust
 from greybox.data.checks.kinematics import Relation, Streams
 from greybox.data.checks.motion import in_body_axes
 from greybox.data.checks.relations import Reading
@@ -36,6 +35,8 @@ from greybox.data.checks.signals import (
 from greybox.data.checks.spans import Spans, length_of, spans
 from greybox.data.checks.view import View
 from greybox.data.checks.witness import by_gyro
+from greybox.data.direction import axis_of_thrust
+from greybox.frames import GRAVITY
 
 SPAN = 0.4
 """Time [s] over which changes of velocity are taken, and longer where streams are slow."""
@@ -155,11 +156,22 @@ def _worlds(
         yield DOWN, FRAMES_DOWN, turned("rotate", quaternions, -force)
 
 
+BODY_AXES = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
+
+
 def _forces(quaternions: FloatArray, force: FloatArray) -> Iterator[tuple[str, str, FloatArray]]:
     """As `_worlds`, of the readings of the accelerometer alone."""
     yield "", MEND, turned("rotate", quaternions, force)
-    fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
-    yield "the specific force is in world axes", fix, force
+    world = f"set frame = 'ENU' (or 'NED') in [columns.specific_force], or {BODY_AXES}"
+    yield "the specific force is in world axes", world, force
+    up = np.tile([0.0, 0.0, GRAVITY], (len(force), 1))
+    fix = "set or drop frame = 'ENU' (or 'NED') beside gravity = false in [columns.specific_force]"
+    # What was put back is taken out again: the axes were wrong, gravity was not.
+    as_body = force - turned("rotate_inverse", quaternions, up) + up
+    yield "the acceleration without gravity is in world axes", fix, as_body
+    as_world = turned("rotate", quaternions, turned("rotate", quaternions, force) - up) + up
+    yield "the acceleration without gravity is in body axes", fix, as_world
+    fix = BODY_AXES
     for text, matrix in ABOUT_THRUST.items():
         other = np.column_stack([force[:, :2] @ np.array(matrix).T, force[:, 2]])
         yield f"the accelerometer's {text}", fix, turned("rotate", quaternions, other)

@@ -221,7 +221,8 @@ def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding 
         if late
         else _said(evidence, drive, view.dt, view.commanded),
         evidence=evidence,
-        fix="log the command at the instant it is sent; check that the log is not one row late",
+        fix="log the command at the instant it is sent; check that the log is not one row late, "
+        "and that these are no rotor speeds",
     )
 
 

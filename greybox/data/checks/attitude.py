@@ -38,7 +38,9 @@ ORDERS = {
     "the scalar comes last: the columns hold x, y, z, w": (3, 0, 1, 2),
     "the columns named qx, qy, qz, qw hold w, x, y, z": (1, 2, 3, 0),
 }
-CONJUGATE = "the quaternion turns world into body: negate qx, qy, qz"
+CONJUGATE = (
+    "the quaternion turns world into body: negate qx, qy, qz (of a matrix, swap rows and columns)"
+)
 
 
 def quaternion_readings(quaternions: FloatArray) -> Iterator[tuple[str, FloatArray]]:
@@ -57,7 +59,7 @@ def quaternion_readings(quaternions: FloatArray) -> Iterator[tuple[str, FloatArr
 
 def streams(view: View) -> Streams | str:
     """Turns of the attitude against the integrated gyro, for every reading of the quaternion, and
-    against that of a gyro in world axes. Means are left out: a gyro has a bias."""
+    against that of a gyro in other axes. Means are left out: a gyro has a bias."""
     if not view.has("attitude", "rate"):
         return "no attitude" if view.has("rate") else view.lacks("rate", "gyro")
     gyro, quaternions = view.group("rate"), view.group("attitude")
@@ -70,14 +72,19 @@ def streams(view: View) -> Streams | str:
         for text, read in quaternion_readings(quaternions)
     ]
     joined = attitude_joined_up(quaternions, n // BRIDGED)
-    readings.append(
-        Reading(
-            text="the gyro is in world axes",
-            fix="log the body rate as the gyro measures it, or rotate p, q, r into body axes",
-            y=readings[0].y,
-            x=integral(turned("rotate_inverse", joined, gyro), view.dt, n // BRIDGED),
-        )
+    others = (
+        ("rotate_inverse", "the gyro is in world axes", "set"),
+        ("rotate", "the gyro is in body axes and was turned from the world's", "drop"),
     )
+    readings += [
+        Reading(
+            text=text,
+            fix=f"{do} frame = 'ENU' (or 'NED') in [columns.rate], or log what the gyro measures",
+            y=readings[0].y,
+            x=integral(turned(turn, joined, gyro), view.dt, n // BRIDGED),
+        )
+        for turn, text, do in others
+    ]
     return Streams(readings=tuple(readings), axes=("p", "q", "r"), spans=at)
 
 

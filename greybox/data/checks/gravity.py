@@ -10,14 +10,12 @@ from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.relations import ANGLES
 from greybox.data.checks.signals import correlation, derivative, joined_up, smoothed
 from greybox.data.checks.view import FloatArray, View
+from greybox.data.direction import axis_of_thrust, straightness
 from greybox.data.drive import drive_names
 from greybox.frames import GRAVITY, numeric
 
 FAST = 0.2
 """Vertical motion below this [m/s RMS] shows nothing."""
-
-STRAIGHT = 0.6
-"""Straightness below which no lasting direction is seen."""
 
 DEEP = 0.1
 """Flying this far [m] below the ground means that z points down."""
@@ -41,24 +39,6 @@ def _finding(
     )
 
 
-def straightness(force: FloatArray) -> float:
-    """Length of the mean of a specific force (N, 3) over its usual length: 1 where it always points
-    the same way, 0 without samples."""
-    known = force[np.isfinite(force).all(axis=1)]
-    size = float(np.median(np.linalg.norm(known, axis=1))) if known.size else 0.0
-    return float(np.linalg.norm(known.mean(axis=0))) / size if size > 0 else 0.0
-
-
-def axis_of_thrust(force: FloatArray) -> str:
-    """The axis along which a specific force (N, 3) points on average: "+z" where it is ours, ""
-    where it has no lasting direction, as without gravity."""
-    if straightness(force) < STRAIGHT:
-        return ""
-    mean = force[np.isfinite(force).all(axis=1)].mean(axis=0)
-    axis = int(np.argmax(np.abs(mean)))
-    return f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
-
-
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on the accelerometer's unit and signs, and on the direction of up."""
     if not view.has("specific_force"):
@@ -79,7 +59,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     if not shown:
         text = "the specific force has no lasting direction: gravity was taken out"
         fix = (
-            "log the raw accelerometer (it reads +9.81 at rest), not the acceleration of the craft"
+            "log the raw accelerometer (it reads +9.81 at rest), or set gravity = false in "
+            "[columns.specific_force], and frame = 'ENU' or 'NED' where its axes are the world's"
         )
         yield _finding(
             view, "blocking", text, fix, {**evidence, "straightness": straightness(known)}, where

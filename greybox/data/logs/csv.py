@@ -46,8 +46,11 @@ def read_csv(path: str | os.PathLike[str]) -> Table:
         raise DataError(
             "the file is empty", where=where, fix="export the log again, with a header row"
         )
-    first, names, separator = _begins([lines[i] for i in numbers])
-    header = _header(names, where, numbers[first - 1] + 1)
+    filled = [lines[i] for i in numbers]
+    first, names, separator = _begins(filled)
+    head = numbers[first - 1] + 1
+    first, names = _second_row(filled, first, names, separator)
+    header = _header(names, where, head)
     body = [lines[i] for i in numbers[first:]]
     if not body:
         raise DataError("a header but no rows", where=where, fix="export the log again")
@@ -77,6 +80,27 @@ def _begins(lines: Sequence[str]) -> tuple[int, list[str], str]:
                 return first, names, separator
     separator = _separator(lines[first])
     return first + 1, _split(lines[first], separator), separator
+
+
+def _second_row(
+    lines: Sequence[str], first: int, names: list[str], separator: str
+) -> tuple[int, list[str]]:
+    """(index of the first row of values, names) where the header has a second row: text over most
+    columns of numbers. It holds names within the groups that a first row with doubles names, as
+    pandas writes them, or the units."""
+    if first + 1 >= len(lines):
+        return first, names
+    row, after = (_split(line, separator) for line in lines[first : first + 2])
+    numbers = [i for i, cell in enumerate(after) if _is_number(cell)]
+    told = sum(bool(row[i]) for i in numbers if i < len(row))
+    values = any(c and _value(c) for c in row)
+    if len(row) != len(names) or values or 2 * told < max(len(numbers), 1):
+        return first, names
+    named = [n for n in names if n]
+    pairs = list(zip(names, row, strict=True))
+    if len(set(named)) < len(named):
+        return first + 1, [".".join(filter(None, pair)) for pair in pairs]
+    return first + 1, [f"{n} [{u.strip('[]() ')}]" if u else n for n, u in pairs]
 
 
 def _value(cell: str) -> bool:

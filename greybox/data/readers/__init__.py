@@ -23,8 +23,10 @@ from greybox.data.readers.assemble import (
 from greybox.data.readers.betaflight import FORMAT as BETAFLIGHT
 from greybox.data.readers.crazyflie import FORMAT as CRAZYFLIE
 from greybox.data.readers.csv_table import FORMAT as CSV
+from greybox.data.readers.folder import FORMAT as FOLDER
 from greybox.data.readers.mapping import LogMapping, read_mapping
 from greybox.data.readers.matlab import FORMAT as MATLAB
+from greybox.data.readers.numpy_archive import FORMAT as NUMPY
 from greybox.data.readers.parquet import FORMAT as PARQUET
 from greybox.data.readers.recording import LogFormat, Recording, Source, Stream
 from greybox.data.readers.ros import FORMAT as ROS
@@ -56,6 +58,8 @@ FORMATS: tuple[LogFormat, ...] = (
     CRAZYFLIE,
     MATLAB,
     PARQUET,
+    NUMPY,
+    FOLDER,
     CSV,
 )
 """All formats, in the order in which they are asked; the last takes what is left."""

@@ -8,6 +8,7 @@ rate; a setpoint is held like a command.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from greybox.data.channel import GROUPS, group_names, is_canonical, rotor_index
 from greybox.data.logs.table import Table, text_error
 from greybox.data.placing import at_rows, commands_at
 from greybox.data.raw import Column, FloatArray, is_numeric
+from greybox.data.readers.axes import from_matrix, in_own_axes, needs_attitude
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
 from greybox.data.readers.recipes import recipes
 from greybox.data.readers.recording import UNITS, Recording, Source, Stream
@@ -53,18 +55,33 @@ _TIMES = (
 may be in any unit unless its type says so."""
 
 
+def _stamps_of_two(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The time [s] of stamps in two columns, as ROS has them: seconds, and nanoseconds in them."""
+    for name in columns:
+        stem = re.fullmatch(r"(.*[\W_])?secs?", name)
+        for part in ("nsec", "nsecs", "nanosec", "nanosecs"):
+            rest = f"{stem[1] or ''}{part}" if stem else ""
+            if rest in columns:
+                return {f"{name} + {rest}": columns[name] + 1e-9 * columns[rest]}
+    return {}
+
+
 def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
     """A log that is one table, as a recording of one stream. Raises `DataError` where no column is
     the time."""
     numbers = {k: v for k, v in table.columns.items() if is_numeric(v)}
+    stamps = _stamps_of_two(numbers)
+    numbers |= stamps
     called = {k.lower(): k for k in reversed(numbers)}
     named = mapping.time_field
     if named not in table.columns and "time" in mapping.optional:
         named = None
     typed = ["timestamp"] if called.get("timestamp") in table.seconds else []
-    name = named or next((called[k] for k in (*_TIMES, *typed) if k in called), None)
+    name = named or next(
+        (called[k] for k in (*_TIMES, *typed) if k in called), next(iter(stamps), None)
+    )
     if name is None or name not in numbers:
-        if name is not None and name not in table.columns:
+        if name is not None and name not in {*table.columns, *stamps}:
             raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
         raise DataError(
             "no column 't' for the time",
@@ -76,7 +93,7 @@ def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recordi
         mapping = LogMapping()  # what it says is said of a column that is not there
     unit, factor = mapping.time_unit, mapping.time_scale
     if unit is None:  # a scale alone is the whole way to seconds
-        stated = factor is not None or name in table.seconds
+        stated = factor is not None or name in {*table.seconds, *stamps}
         unit = (
             "s" if stated else next((u for u in TIME_UNITS if name.lower().endswith("_" + u)), "s")
         )
@@ -342,12 +359,12 @@ class _Grid:
             return
         if group == "attitude":
             self.attitude = _increasing(t, values)
-        if group == "velocity" and source.frame in ("FLU", "FRD"):
+        if what := needs_attitude(source):
             if self.attitude is None:
-                self.notes.append("velocity in body axes left out: there is no attitude to turn it")
+                self.notes.append(f"{what} left out: there is no attitude to turn it")
                 return
             turn = _unit(at_rows(*self.attitude, t, stream.step))
-            values = _rotations("rotate", turn, values)
+            values = in_own_axes(values, turn, source)
         placed = values if direct else self._placed(group, stream, t, values)
         if infinite.any() and not direct and stream.name == TABLE:
             placed = np.where(infinite, np.inf, placed)  # refused later by the number of its row
@@ -417,6 +434,7 @@ def describe(source: Source, stream: Stream) -> str:
     how = [] if stream.name == TABLE else [f"{stream.rate:.4g} Hz"]
     how += [source.unit] if source.unit not in ("", "1") else []
     how += [source.frame] if source.frame else []
+    how += [] if source.gravity else ["without gravity"]
     how += [f"{source.limits[0]:g}..{source.limits[1]:g}"] if source.limits else []
     how += [f"{1e3 * source.delay:.3g} ms earlier than its stamps"] if source.delay else []
     if stream.name == TABLE:
@@ -433,7 +451,8 @@ def _rotations(name: str, *arrays: FloatArray) -> FloatArray:
 
 
 def converted(stream: Stream, source: Source) -> FloatArray:
-    """Values (N, K) of a source in our units and frames, row by row; velocity may be in body axes.
+    """Values (N, K) of a source in our units and frames, row by row; vectors may be in other axes
+    than their group's.
 
     What is infinite, or a quaternion not of unit length, is missing, but in a table, where it is
     judged later by the number of its row.
@@ -455,8 +474,9 @@ def converted(stream: Stream, source: Source) -> FloatArray:
     if source.limits is not None:
         low, high = source.limits
         matrix = (matrix - low) / (high - low)
-    if source.group == "attitude" and matrix.shape[1] == 3:
-        matrix = _rotations("from_euler", matrix)
+    if source.group == "attitude" and matrix.shape[1] != 4:
+        angles = matrix.shape[1] == 3
+        matrix = _rotations("from_euler", matrix) if angles else from_matrix(matrix)
     matrix = other_frame(matrix, source.group, source.frame)
     if source.group != "attitude":
         return matrix
@@ -489,7 +509,8 @@ def in_channels(table: Table, mapping: LogMapping) -> Table:
     for name in mapping.names & set(stream.unread):
         raise text_error(table, name, name)
     kept, absent = present(recording, mapping)
-    told = kept.groups
+    turned = any(needs_attitude(s) for s in kept.sources.values())
+    told = kept.groups | ({"attitude"} if turned else set())
     sources = {g: s for g, s in choose(recording, mapping).items() if g in told}
     own = replace(table, columns={}, canonical=True, notes=absent)
     if sources:

@@ -42,7 +42,10 @@ TABLE = "table"
 """Name of the only stream of a log that is one table."""
 
 _TIME_KEYS = ("field", "unit", "scale", "offset")
-_KEYS = ("stream", "fields", "unit", "frame", "scale", "offset", "delay", "limits", "causal", "use")
+_KEYS = (
+    *("stream", "fields", "unit", "frame", "scale", "offset"),
+    *("delay", "limits", "gravity", "causal", "use"),
+)
 _PER_ROTOR = ("command", "rotor_speed")
 
 
@@ -202,6 +205,7 @@ _DEFAULTS: Mapping[str, object] = {
     "offset": 0.0,
     "delay": 0.0,
     "limits": None,
+    "gravity": True,
     "causal": True,
 }
 
@@ -215,7 +219,7 @@ def _entry(source: Source) -> dict[str, Json]:
         "offset": source.offset,
         "delay": source.delay,
     }
-    said |= {"limits": source.limits, "causal": source.causal}
+    said |= {"limits": source.limits, "gravity": source.gravity, "causal": source.causal}
     kept = {k: v for k, v in said.items() if k == "fields" or v != _DEFAULTS[k]}
     return {k: list(v) if isinstance(v, tuple) else v for k, v in kept.items()}
 
@@ -357,8 +361,9 @@ def _source(group: str, table: Mapping[str, object], where: str) -> Source:
     if group in _PER_ROTOR:
         if len(fields) > 99:
             raise DataError(f"{len(fields)} fields", where=where, expected="one per rotor")
-    elif len(fields) != count and not angles:
-        also = ", or roll, pitch, yaw" if group == "attitude" else ""
+    elif len(fields) != count and not (group == "attitude" and len(fields) in (3, 9)):
+        turns = ", or roll, pitch, yaw, or a rotation matrix row by row"
+        also = turns if group == "attitude" else ""
         raise DataError(
             f"{len(fields)} fields",
             where=where,
@@ -381,9 +386,18 @@ def _source(group: str, table: Mapping[str, object], where: str) -> Source:
         offset=_each(table, "offset", 0.0, len(fields), where, lambda value, place: value),
         delay=_number(table.get("delay", 0.0), f"{where}.delay"),
         limits=_limits(group, table, where),
+        gravity=_gravity(group, table, where),
         causal=_boolean(table, "causal", where, True),
         note=f"as {os.path.basename(where.partition(': ')[0])} says",
     )
+
+
+def _gravity(group: str, table: Mapping[str, object], where: str) -> bool:
+    if "gravity" in table and group != "specific_force":
+        raise DataError(
+            "'gravity' is said of a specific force alone", where=where, fix="drop the key"
+        )
+    return _boolean(table, "gravity", where, True)
 
 
 def _limits(group: str, table: Mapping[str, object], where: str) -> tuple[float, float] | None:

@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,13 @@ import numpy.typing as npt
 
 from greybox.data.logs.table import Table
 from greybox.data.memory import allowance
-from greybox.data.raw import Column
+from greybox.data.raw import Column, FloatArray
 from greybox.data.readers.recording import LogFormat, checked_file
 from greybox.errors import DataError
 
 _MAGIC = b"MATLAB 5.0 MAT-file"
 _HDF = b"MATLAB 7.3 MAT-file"
-_TIMES = ("t", "time", "timestamp", "tout", "time_s", "time_ms", "time_us")
+_TIMES = ("t", "time", "timestamp", "timestamps", "tout", "time_s", "time_ms", "time_us")
 TIME_LIMIT = 300
 """Seconds that reading one file may take."""
 
@@ -41,7 +42,14 @@ def read_mat(path: str | os.PathLike[str]) -> Table:
             raise DataError(
                 "a MAT file of version 7.3 (HDF5)", where=where, fix="in MATLAB: save(name, '-v7')"
             )
-    vectors, variables = _read_apart(where)
+    return table_of(*_read_apart(where), where=where, sha256=digest)
+
+
+def table_of(
+    vectors: Mapping[str, FloatArray], variables: Sequence[str], *, where: str, sha256: str
+) -> Table:
+    """The vectors as long as the time, else those of the most usual length, as one table;
+    `variables` are the names of all that the file holds. Raises `DataError` where no vector is."""
     lengths = [v.size for v in vectors.values() if v.size > 1]
     if not lengths:
         raise DataError(
@@ -63,8 +71,8 @@ def read_mat(path: str | os.PathLike[str]) -> Table:
     return Table(
         columns=columns,
         rows=np.arange(1, n + 1, dtype=np.int64),
-        source=Path(path).name,
-        sha256=digest,
+        source=Path(where).name,
+        sha256=sha256,
         notes=notes,
     )
 

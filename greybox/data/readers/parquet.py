@@ -24,8 +24,8 @@ def read_parquet(path: str | os.PathLike[str]) -> Table:
     """Read a Parquet file: numbers as float64 (null = missing), times in seconds, anything else as
     text.
 
-    Columns of lists become one column per entry where all rows have equally many. Raises
-    `DataError`.
+    Of structs every field becomes a column, gyro.x; columns of lists become one column per entry
+    where all rows have equally many. Raises `DataError`.
     """
     where = os.fspath(path)
     digest = checked_file(Path(path))
@@ -38,6 +38,8 @@ def read_parquet(path: str | os.PathLike[str]) -> Table:
         # A thread that reads ahead would end the process where memory is short: nobody can catch
         # what it throws.
         content = parquet.read_table(where, memory_map=False, use_threads=False, pre_buffer=False)
+        while any(str(f.type).startswith("struct") for f in content.schema):
+            content = content.flatten()
         columns: dict[str, Column] = {}
         for name, column in zip(content.column_names, content.columns, strict=True):
             columns.update(_column(str(name), column))

@@ -22,7 +22,12 @@ def recipes(source: Source) -> dict[str, str]:
     scales = np.broadcast_to(np.asarray(source.scale, dtype=float), (len(fields),))
     offsets = np.broadcast_to(np.asarray(source.offset, dtype=float), (len(fields),))
     bare = (scales == 1.0).all() and not offsets.any() and source.limits is None
-    joint = source.convert is not None or source.frame or len(names) != len(fields)
+    joint = (
+        source.convert is not None
+        or source.frame
+        or not source.gravity
+        or len(names) != len(fields)
+    )
     if joint and bare:  # the unit stands for its factor
         texts = fields
     else:
@@ -39,7 +44,8 @@ def recipes(source: Source) -> dict[str, str]:
     if joint:
         unit = f" [{source.unit}]" if bare and source.unit not in ("", "1") else ""
         frame = f", {source.frame}" if source.frame else ""
-        note = f", {source.note}" if source.note else ""
+        note = "" if source.gravity else ", gravity put back"
+        note += f", {source.note}" if source.note else ""
         said = f"from {', '.join(t for t in texts if t)}{unit}{frame}{note}{early}"
         return dict.fromkeys(names, said)
     made = {name: text + early for name, text in zip(names, texts, strict=True) if text}

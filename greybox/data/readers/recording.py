@@ -70,7 +70,8 @@ class Source:
     `UNITS[group]` and `frame` one of `FRAMES[group]` ("" = ours); `scale` multiplies after the
     unit, then `offset` is added, both of all fields or one for each. `limits` (low, high) maps
     commands to 0..1. The value belongs to its stamp minus `delay` [s]. `convert` (N, K) -> (N, K)
-    comes first of all. `causal=False`: smoothed with later samples.
+    comes first of all. `gravity=False`: it was taken out of a specific force. `causal=False`:
+    smoothed with later samples.
     """
 
     group: str
@@ -82,6 +83,7 @@ class Source:
     offset: float | tuple[float, ...] = 0.0
     delay: float = 0.0
     limits: tuple[float, float] | None = None
+    gravity: bool = True
     causal: bool = True
     convert: Callable[[FloatArray], FloatArray] | None = None
     note: str = field(default="", compare=False)
@@ -99,12 +101,12 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "setpoint": {"m": 1.0, "mm": 1e-3},
 }
 """Units that a source may have, with their factor to SI. Attitude: 1 for a quaternion, rad or deg
-for Euler angles."""
+for Euler angles, and 1 for a rotation matrix."""
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "attitude": ("FLU/ENU", "FRD/NED"),
-    "rate": ("FLU", "FRD"),
-    "specific_force": ("FLU", "FRD"),
+    "rate": ("FLU", "FRD", "ENU", "NED"),
+    "specific_force": ("FLU", "FRD", "ENU", "NED"),
     "position": ("ENU", "NED"),
     "velocity": ("ENU", "NED", "FLU", "FRD"),
     "setpoint": ("ENU", "NED"),

@@ -3,15 +3,19 @@ lost gaps."""
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from greybox.cli import main
+from greybox.data.inspection import inspect_log
 from greybox.data.placing import at_rows, commands_at
 from greybox.data.readers import Recording, Source, Stream, assemble, choose
 from greybox.data.readers.mapping import LogMapping, read_mapping
 from greybox.errors import DataError, UnknownNameError
+from tests.data.readers import writers as w
 
 ROWS = 0.01 * np.arange(200)
 
@@ -196,3 +200,20 @@ def test_a_log_without_any_known_stream_says_what_it_holds() -> None:
                 streams={"temperature": stream("temperature", 10)},
             )
         )
+
+
+@pytest.mark.parametrize(("whole", "part"), [("secs", "nsecs"), ("sec", "nanosec")])
+def test_a_stamp_of_two_columns_is_one_time(whole: str, part: str, tmp_path: Path) -> None:
+    """Tables of ROS messages have seconds, and nanoseconds in the second."""
+    t = 0.01 * np.arange(250)
+    stamps = {whole: 1.7e9 + np.floor(t), part: np.round(t % 1.0 * 1e9)}
+    rows = {f"header.stamp.{n}": v for n, v in stamps.items()}
+    rows |= {f"angular_velocity.{a}": np.sin(t) for a in "xyz"}
+    w.write_csv(tmp_path / "a.csv", rows | {f"rpm_{i}": 9000.0 + t for i in range(4)})
+    draft = tmp_path / "m.toml"
+    main(["inspect", str(tmp_path / "a.csv"), "--draft", str(draft)])
+    field = f"header.stamp.{whole} + header.stamp.{part}"
+    assert tomllib.loads(draft.read_text())["time"] == {"field": field, "unit": "s"}
+    raw = inspect_log(tmp_path / "a.csv", mapping=draft).raw
+    assert raw is not None
+    np.testing.assert_allclose(raw.t - raw.t[0], t, atol=1e-6)

@@ -1,0 +1,105 @@
+"""A folder of tables, one a stream, as ulog2csv, exports of bags and EuRoC's data sets write them.
+
+Every table has a clock of its own, which its names or its steps tell and `clock` of its stream
+says. Tables without one are passed over in a note. A table that has what drives the rotors and a
+sensor is a flight by itself: where it stands alone or beside another the folder is no log.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from greybox.data.channel import channel, is_canonical
+from greybox.data.column_guess import guess_columns, guess_time
+from greybox.data.logs.csv import read_csv
+from greybox.data.logs.table import Table
+from greybox.data.raw import is_numeric
+from greybox.data.readers.assemble import stream_of_table
+from greybox.data.readers.mapping import TABLE, LogMapping
+from greybox.data.readers.parquet import read_parquet
+from greybox.data.readers.recording import LogFormat, Recording, Stream
+from greybox.errors import DataError
+
+_READ = {".csv": read_csv, ".csv.gz": read_csv, ".parquet": read_parquet}
+DRIVEN = frozenset({"command", "rotor_speed"})
+MEASURED = frozenset({"rate", "specific_force", "attitude", "position", "velocity"})
+MOST, SEEN = 300, 20_000
+"""Tables that are read of one folder, and files among which they are looked for, images too."""
+
+
+def read_folder(path: Path) -> Recording:
+    """The tables of a folder and of those in it as streams. Raises `DataError` where none has a
+    clock."""
+    tables: dict[str, Table] = {}
+    notes: list[str] = []
+    for name, file in _tables(path):
+        try:
+            tables[name] = _READ[_ending(file)](file)
+        except DataError as error:
+            notes.append(f"passed over: {error}")
+    streams: dict[str, Stream] = {}
+    clocks = {name: _clock(table) for name, table in tables.items()}
+    # A table too slow to tell the unit of its clock has that of the others.
+    units = {clock.time_field: clock.time_unit for clock in clocks.values() if clock}
+    for name, table in tables.items():
+        same = (LogMapping(time_field=f, time_unit=u) for f, u in units.items())
+        clock = clocks[name] or next((c for c in same if c.time_field in table.columns), None)
+        if clock is None:
+            notes.append(f"passed over: no column of {name} looks like a clock")
+            continue
+        found = stream_of_table(table, clock, where=f"{path}: {name}")
+        streams[name] = replace(found.streams[TABLE], name=name)
+    flights = [n for n, s in streams.items() if _is_flight(s)]
+    if not streams or len(flights) > 1 or (flights and len(streams) == 1):
+        several = f"flights {', '.join(flights[:4])}" if flights else "; ".join(notes)[:200]
+        raise DataError(
+            "a folder, not a log",
+            where=str(path),
+            got=several or "no table in it",
+            fix="name the log files in it",
+        )
+    return Recording(
+        format=FORMAT.name,
+        source=path.name,
+        sha256=hashlib.sha256("".join(t.sha256 for t in tables.values()).encode()).hexdigest(),
+        streams=streams,
+        notes=tuple(notes),
+    )
+
+
+def _is_flight(stream: Stream) -> bool:
+    named = {channel(n).group for n in stream.fields if is_canonical(n)}
+    groups = named | {g.group for g in guess_columns(stream.fields)}
+    return not (DRIVEN.isdisjoint(groups) or MEASURED.isdisjoint(groups))
+
+
+def _tables(path: Path) -> Iterator[tuple[str, Path]]:
+    """(name of the stream, file) of the tables of a folder."""
+    found = (f for deep in ("*", "*/*", "*/*/*") for f in path.glob(deep))
+    files = sorted(f for f in itertools.islice(found, SEEN) if _ending(f) and f.is_file())
+    for file in files[:MOST]:
+        yield file.relative_to(path).as_posix().removesuffix(_ending(file)), file
+
+
+def _ending(file: Path) -> str:
+    return next((end for end in _READ if file.name.lower().endswith(end)), "")
+
+
+def _clock(table: Table) -> LogMapping | None:
+    """The clock of a table by its name and its steps; None where nothing tells."""
+    time = guess_time({k: v for k, v in table.columns.items() if is_numeric(v)})
+    return None if time is None else LogMapping(time_field=time[0], time_unit=time[1])
+
+
+FORMAT = LogFormat(
+    name="folder",
+    title="folder of tables",
+    endings=(),
+    recognise=lambda path, head: path.is_dir() and any(True for _ in _tables(path)),
+    recording=read_folder,
+    advice={"": "a mapping file says which columns of which table are which channels"},
+)

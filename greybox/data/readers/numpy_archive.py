@@ -1,0 +1,59 @@
+"""NumPy archives (.npz): arrays of one length as one table, a matrix (N, K) as K columns."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from greybox.data.logs.table import Table
+from greybox.data.memory import allowance
+from greybox.data.raw import FloatArray
+from greybox.data.readers.matlab import table_of
+from greybox.data.readers.recording import LogFormat, checked_file, damaged
+
+_ZIP = b"PK\x03\x04"
+_WIDEST = 16
+"""Columns of a matrix that are channels, and no image."""
+
+
+def read_npz(path: str | os.PathLike[str]) -> Table:
+    """Read an archive. Raises `DataError` where it is damaged or holds no vectors of one length;
+    objects are not unpickled."""
+    where = os.fspath(path)
+    digest = checked_file(Path(path))
+    vectors: dict[str, FloatArray] = {}
+    with damaged(where, "a NumPy archive"), zipfile.ZipFile(where) as packed:
+        if sum(entry.file_size for entry in packed.infolist()) > allowance(where):
+            raise MemoryError
+    with (
+        damaged(where, "a NumPy archive"),
+        Path(path).open("rb") as stream,
+        np.load(stream, allow_pickle=False) as content,
+    ):
+        names = list(content.files)
+        for name in names:
+            try:
+                array = content[name]
+            except ValueError:  # of objects
+                continue
+            if array.dtype.kind not in "fiub" or not 0 < array.ndim <= 2:
+                continue
+            matrix = array.reshape(len(array), -1).astype(np.float64)
+            if array.ndim == 1 or matrix.shape[1] == 1:
+                vectors[name] = matrix[:, 0]
+            elif matrix.shape[1] <= _WIDEST:
+                vectors |= {f"{name}[{j}]": matrix[:, j] for j in range(matrix.shape[1])}
+    return table_of(vectors, names, where=where, sha256=digest)
+
+
+FORMAT = LogFormat(
+    name="numpy",
+    title="NumPy archive",
+    endings=(".npz",),
+    recognise=lambda path, head: head.startswith(_ZIP) and path.name.lower().endswith(".npz"),
+    table=read_npz,
+    advice={"": "np.savez one array (N, K) per sensor and a vector t [s] of N"},
+)
