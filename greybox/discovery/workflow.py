@@ -363,8 +363,8 @@ class _Run:
         return self._bent.get((at, lawful), False)
 
     def _opposed(self, at: Fitted) -> bool:
-        names = at.structure - self.null.structure  # --from has a base, too
-        return self.judges.oppose(self.held_out(self.null), self.settled(at).model, names)
+        base, model = self.held_out(self.null), self.settled(at).model  # --from has a base, too
+        return self.judges.oppose(base, model, at.structure - self.null.structure, RULES.span)
 
     def _by_errors_ahead(
         self, search: Search, at: Fitted, left: Left | None = None

@@ -97,20 +97,10 @@ class GapRow:
     opened: bool = False
 
     @property
-    def place(self) -> tuple[str, float]:
-        """Group and horizon."""
-        return self.group, self.horizon_s
-
-    @property
     def worse(self) -> bool:
         """Whether it clearly got worse, by more than a trace."""
         felt = self.after**2 > (1 + TRACE) * self.before**2
         return self.opened or (felt and self.ci95 is not None and self.ci95[1] < 0)
-
-    @property
-    def much_worse(self) -> bool:
-        """Whether it clearly got worse, by more than a tenth."""
-        return self.worse and self.after > (1 + TENTH) * self.before
 
     @property
     def opposed(self) -> bool:
@@ -120,7 +110,7 @@ class GapRow:
     @property
     def doubtful(self) -> bool:
         """Whether that is so, and much."""
-        return self.opposed and self.much_worse
+        return self.opposed and self.after > (1 + TENTH) * self.before
 
     def to_dict(self) -> GapDocument:
         """As in discovery.json."""

@@ -14,6 +14,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.validation.gap import GapRow, HeldOutErrors, Squares, gap, predict_ahead
 from greybox.validation.validate import verdict_on
+from greybox.validation.worth import Span, worth
 
 _Known = weakref.WeakKeyDictionary[IdentifiedModel, dict[bool, HeldOutErrors | None]]
 """Errors without and with what has no name, as long as somebody has the model."""
@@ -50,19 +51,26 @@ class Judges:
         return found if seen is None else found.judged(seen)
 
     def oppose(
-        self, before: HeldOutErrors | None, model: IdentifiedModel, names: Collection[str]
+        self,
+        before: HeldOutErrors | None,
+        model: IdentifiedModel,
+        names: Collection[str],
+        span: Span,
     ) -> bool:
-        """Whether effects of a model stand against force and torque without a name: with them much
-        larger errors than `before`, which what the filter sees mends, and as much smaller ones
-        without all of them or one, all other numbers as they are.
+        """Whether effects of a model stand against force and torque without a name: somewhere with
+        them much larger errors than `before`, which what the filter sees mends; and all in all,
+        within `span` [s], clearly larger ones than without all of them or one, all other numbers
+        as they are.
 
         Where commands answer gusts, the craft itself may foretell worse by its physics alone than a
-        wrong one that answers less; but not worse than itself without what it has.
+        wrong one that answers less, or a second ahead than itself without its lag; but not all in
+        all.
         """
-        bad = {r.place for r in self.rows(before, model) if r.doubtful}
-        ways = [names, *([n] for n in sorted(names))] if bad else []
+        if not any(r.doubtful for r in self.rows(before, model)):
+            return False
+        own, ways = self.errors(model), (names, *([n] for n in sorted(names)))
         bare = (self.errors(_at_null(model, some)) for some in ways)
-        return any(r.much_worse and r.place in bad for old in bare for r in self.rows(old, model))
+        return any(old and own and worth(old, own, span).harms for old in bare)
 
     def rows(
         self,
