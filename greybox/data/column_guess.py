@@ -32,14 +32,14 @@ _WORDS = {
 _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|w|rotorspeed|motorspeed|escspeed|angularvelocities",
     "command": r"m|u|motors?|rotors?|pwm|cmd|command|controls?|ctrl|esc|act|actuators?|outputs?"
-    r"|outchannels",
+    r"|outchannels|f|forces?|thrusts?|thr|throttles?",
 }
 _ODOMETRY = re.compile(r"twist\W+twist\W+linear\W")
 """The velocity of ROS's nav_msgs/Odometry, which is along the axes of the body."""
 _ROTOR = r"rotors?"
 """A word of commands that may mean a speed, too."""
-_OPEN = r"controls?|ctrl|w"
-"""Words of rotors that may mean a torque or a weight, too, which a rotor's number is not: that has
+_OPEN = r"controls?|ctrl|w|f|forces?"
+"""Words of rotors that may mean a torque, a side force or a weight, too, which a rotor's number is not: that has
 no sign."""
 _AFTER = rf"pwm|cmd|command|output|e?rpm|speed|{_WORDS['setpoint']}"
 """Words that may stand behind the number of a motor or an axis: motor1_pwm, x_ref."""
@@ -143,10 +143,14 @@ def guess_columns(
     speeds = _along_the_body(columns)
     attitudes = list(_attitudes({n: v for n, v in columns.items() if n not in speeds}))
     turned = {n for _, names in attitudes for n in names}
-    for stem, members in (family for ends in _AXES for family in _families(columns, ends)):
+    axes = [family for ends in _AXES for family in _families(columns, ends)]
+    beside_an_accelerometer = any(stem == "a" for stem, _ in axes)  # gx may be gravity or a goal
+    for stem, members in axes:
         if set(members) == {0, 1, 2}:
             lone = not stem and _bare(members[0]).lower() == "x" and members[0] not in turned
             group = "position" if lone else _meant(stem)
+            if stem == "g" and beside_an_accelerometer:
+                group = "rate"
             if group:
                 take(group, [members[i] for i in range(3)])
     for group, numbered in _by_number(columns):
@@ -166,6 +170,7 @@ def guess_columns(
             )
     for stem, members in _families(columns, {"n": 0, "e": 1, "d": 2}):
         group = next((g for g in ("velocity", "position") if _says(stem, _WORDS[g])), "")
+        group = group if stem else "position"
         if group and len(members) == 3 and not _wanted(stem):
             take(group, [members[i] for i in range(3)])
     for name in filter(_battery, columns):

@@ -185,6 +185,21 @@ def test_names_and_sizes(
     assert all(g.fields == tuple(names) for g in found)
 
 
+def test_a_simulators_short_names_are_told_by_what_stands_beside_them() -> None:
+    """g is a gyro beside an accelerometer's a, four forces are of rotors, and north, east and down
+    alone are a place."""
+    columns = {n: np.full(50, v) for n, v in zip("NED", (1.0, 2.0, -3.0), strict=True)}
+    columns |= {n: np.full(50, 0.1) for n in ("gx", "gy", "gz", "ax", "ay")}
+    columns |= {"az": np.full(50, -9.8)} | {f"F{i}": np.full(50, 3.0 + i) for i in range(1, 5)}
+    found = {g.group: (g.fields, g.frame) for g in guess_columns(columns)}
+    assert found == {
+        "command": (("F1", "F2", "F3", "F4"), ""),
+        "specific_force": (("ax", "ay", "az"), "FRD"),
+        "rate": (("gx", "gy", "gz"), "FRD"),
+        "position": (("N", "E", "D"), "NED"),
+    }
+
+
 IN_WORDS = {
     "Time (ms)": 10.0 * np.arange(50),
     "Gyro X (deg/s)": 3.0,
