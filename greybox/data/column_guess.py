@@ -42,20 +42,18 @@ _NO_NAME = frozenset({"xyz", "signals", "values", "data"})
 _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|w|rotorspeed|motorspeed|escspeed|angularvelocities",
     "command": r"m|u|mots?|motors?|rotors?|thrusts?|pwm|cmd|command|controls?|ctrl|esc|act|actuators?|outputs?"
-    r"|outchannels",
+    r"|outchannels|f|forces?|thr|throttles?",
 }
 _ODOMETRY = re.compile(r"twist\W+twist\W+linear\W")
 """The velocity of ROS's nav_msgs/Odometry, which is along the axes of the body."""
 _ROTOR = r"rotors?"
 """A word of commands that may mean a speed, too."""
-_THRUST = r"thrusts?"
-"""A word of commands that may mean a force, too, which no share is."""
 _PULSE = r"u|pwm|cmd|command|controls?|ctrl|outputs?"
 """Words of what goes to a rotor, which no speed is that comes back."""
 _STICKS = r"channels?|rc\w*|sticks?|joy\w*"
 """Words of a pilot's sticks, which turn nothing by themselves."""
-_OPEN = r"controls?|ctrl|w"
-"""Words of rotors that may mean a torque or a weight, too, which a rotor's number is not: that has
+_OPEN = r"controls?|ctrl|w|f|forces?|thrusts?"
+"""Words of rotors that may mean a torque, a side force or a weight, too, which no rotor's is: it has
 no sign."""
 _AFTER = rf"pwm|cmd|command|output|e?rpm|speed|{_WORDS['setpoint']}"
 """Words that may stand behind the number of a motor or an axis: motor1_pwm, x_ref."""
@@ -190,6 +188,7 @@ def guess_columns(
             )
     for stem, members in _families(columns, {"n": 0, "e": 1, "d": 2}):
         group = next((g for g in ("velocity", "position") if _says(stem, _WORDS[g])), "")
+        group = group if stem else "position"
         if group and len(members) == 3 and not _wanted(stem):
             take(group, [members[i] for i in range(3)])
     for name in filter(_battery, columns):
@@ -502,13 +501,12 @@ def _commanded(stem: str, names: Iterable[str], columns: Mapping[str, FloatArray
     names = tuple(names)
     *before, last = re.split(r"[\W_]+", stem)
     said = any(re.fullmatch(_NUMBERED["command"], word) for word in before)
-    if said or not re.fullmatch(rf"{_ROTOR}|{_THRUST}", last):
+    if said or not re.fullmatch(_ROTOR, last):
         return True
     if _unit_of(names[0]) in _UNITS["command"]:
         return True
     known = _known(names, columns)
-    most = 1.0 if re.fullmatch(_THRUST, last) else 100.0
-    return bool(known.size) and known.min() >= 0.0 and known.max() <= most
+    return bool(known.size) and known.min() >= 0.0 and known.max() <= 100.0
 
 
 def _known(names: Iterable[str], columns: Mapping[str, FloatArray]) -> FloatArray:

@@ -29,8 +29,11 @@ DIFFERENCES = 2
 """Differences before the spectrum is taken: a craft that flies metres leaks through any window, by
 a millionth of its way, and slow motion hardly shows in differences (prewhitening: Percival and
 Walden 1993, sec. 6.5)."""
-WINDOW = 256
+WINDOW = 64
 """Samples of a window of the spectrum."""
+QUIET = 0.25
+"""Share of the windows that tell: noise is there at all times, and a step of a command, which no
+window keeps apart from noise, is not."""
 TINY = 1e-300
 """A power that has a logarithm."""
 
@@ -114,18 +117,21 @@ def _has_none(sensor: Sensor, data: Dataset, vehicle: Vehicle) -> bool:
 def _level(column: FloatArray) -> float:
     """Standard deviation of white noise whose spectrum is as high as the upper half of this one's,
     which motion hardly reaches, in the mean of its logarithm: what nobody can foretell of a sample
-    (Kolmogorov's formula), and a filter's stop band has some. NaN of a record that is too short."""
-    from scipy.signal import welch
+    (Kolmogorov's formula), and a filter's stop band has some. The quiet windows tell. NaN of a
+    record that is too short."""
+    from scipy.signal import spectrogram
 
     x = np.diff(column[np.isfinite(column)], DIFFERENCES)
-    n = min(WINDOW, x.size)
-    if n < WINDOW // 4:
+    if x.size < WINDOW:
         return float("nan")
-    cycles, power = welch(x, window=np.hanning(n), noverlap=n // 2, detrend="linear")
-    upper = slice(power.size // 2, -1)
+    cycles, _, power = spectrogram(
+        x, window=np.hanning(WINDOW), noverlap=WINDOW // 2, detrend="linear"
+    )
+    upper = slice(cycles.size // 2, -1)
     of_differences = (2.0 * np.sin(np.pi * cycles[upper])) ** (2 * DIFFERENCES)
-    both_sides = power[upper] / 2 / of_differences
-    return float(np.exp(0.5 * np.log(both_sides + TINY).mean()))
+    both_sides = power[upper] / 2 / of_differences[:, None]
+    of_windows = np.log(both_sides + TINY).mean(axis=0)
+    return float(np.exp(0.5 * np.quantile(of_windows, QUIET)))
 
 
 def _noisy(flight: Flight, sensors: Sequence[Sensor], vehicle: Vehicle) -> Flight:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from faults import conjugated, exchanged, late
 
@@ -54,6 +55,21 @@ def test_a_clock_that_is_a_little_off_is_no_unit_though_the_accelerometer_has_a_
     assert "the time may run 0.95" in found.message
     assert any("the velocity changes" in f.message for f in report.of("acceleration"))
     assert not check([with_scale(raw, 0.94)], vehicle).of("clock")
+
+
+@pytest.mark.parametrize(("rows", "severity"), [(0, "info"), (1, "warning")])
+def test_rotors_that_obey_at_once_lag_by_half_a_row_or_commands_are_late(rows, severity, tmp_path):
+    """Many simulators have no motor lag: a command is held for a row, and answered in its middle."""
+    plant = nano([])
+    log = fly(plant, controller_for(plant), FigureEight(), rich_excitation(), 8.0, seed=3)
+    write_vehicle(tmp_path / "vehicle.toml", plant)
+    vehicle = read_vehicle(tmp_path / "vehicle.toml")
+    raw = read_table(write_log(tmp_path / "log.csv", log), vehicle)
+    commands = {f"u{i}": np.roll(raw.channels[f"u{i}"], rows) for i in range(1, 5)}
+    logged = replace(raw, channels={**raw.channels, **commands})
+    found = check([logged], vehicle)
+    answers = [f for f in found.of("alignment") if "against the commands" in f.where]
+    assert [f.severity for f in answers] == [severity]
 
 
 def with_scale(raw, factor):

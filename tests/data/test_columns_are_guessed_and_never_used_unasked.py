@@ -185,6 +185,21 @@ def test_names_and_sizes(
     assert all(g.fields == tuple(names) for g in found)
 
 
+def test_a_simulators_short_names_are_told_by_what_stands_beside_them() -> None:
+    """g is a gyro beside an accelerometer's a, four forces are of rotors, and north, east and down
+    alone are a place."""
+    columns = {n: np.full(50, v) for n, v in zip("NED", (1.0, 2.0, -3.0), strict=True)}
+    columns |= {n: np.full(50, 0.1) for n in ("gx", "gy", "gz", "ax", "ay")}
+    columns |= {"az": np.full(50, -9.8)} | {f"F{i}": np.full(50, 3.0 + i) for i in range(1, 5)}
+    found = {g.group: (g.fields, g.frame) for g in guess_columns(columns)}
+    assert found == {
+        "command": (("F1", "F2", "F3", "F4"), ""),
+        "specific_force": (("ax", "ay", "az"), "FRD"),
+        "rate": (("gx", "gy", "gz"), "FRD"),
+        "position": (("N", "E", "D"), "NED"),
+    }
+
+
 IN_WORDS = {
     "Time (ms)": 10.0 * np.arange(50),
     "Gyro X (deg/s)": 3.0,
@@ -585,9 +600,12 @@ def test_what_goes_to_a_rotor_twice_is_no_speed() -> None:
     assert set(guessed(shares)) == {"command"}
 
 
-def test_a_thrust_of_each_rotor_is_a_command_where_it_is_a_share() -> None:
-    assert "command" in guessed(axes("thrust[", np.linspace(0.2, 0.8, 50), "0123", "]"))
-    assert guessed(axes("thrust[", np.linspace(0.5, 3.0, 50), "0123", "]")) == {}
+def test_a_thrust_of_each_rotor_is_a_command_in_a_range_of_its_own() -> None:
+    share = guessed(axes("thrust[", np.linspace(0.2, 0.8, 50), "0123", "]"))
+    assert "command" in share
+    newtons = guessed(axes("thrust[", np.linspace(0.5, 3.0, 50), "0123", "]"))
+    assert newtons["command"].limits is None and "add limits" in newtons["command"].why
+    assert guessed(axes("thrust[", np.linspace(-1.0, 1.0, 50), "0123", "]")) == {}
 
 
 def test_letters_of_axes_stand_behind_what_is_along_them() -> None:

@@ -120,6 +120,22 @@ def test_far_flights_keep_the_noise_that_they_have() -> None:
     assert "position" not in sensors and "velocity" in sensors
 
 
+def test_commands_that_jump_are_no_noise() -> None:
+    """Waypoints that jump, motors at their limits: kinks in the rates now and then, and a drag-free
+    craft whose sideways force is exactly zero. No filter can weigh such a sensor."""
+    flight = smooth(14.0)
+    segment = flight.segments[0]
+    since = segment.t % 1.3
+    jump = np.where(since < 0.3, 8.0 * np.sin(np.pi * since / 0.3), 0.0)
+    still = np.zeros(segment.n)
+    found = {n: segment.channels[n] + jump for n in ("p", "q", "r", "az")} | {
+        "ax": still,
+        "ay": still,
+    }
+    _, sensors = added_to(Flight(name="one", segments=(segment.replace(found),)), vehicle())
+    assert sensors == ["position", "velocity", "attitude", "gyro", "accelerometer"]
+
+
 @pytest.mark.parametrize(("cut", "rate"), [(10, 100), (20, 200), (30, 250)])
 def test_a_gyro_behind_a_low_pass_has_noise(cut: float, rate: float) -> None:
     flight, random = smooth(20.0, 1 / rate), np.random.default_rng(3)

@@ -209,8 +209,10 @@ def _answers(view: View, offset: float | None, motion: str) -> Iterator[Finding 
             check="alignment", flight=view.name, reason=f"no motion that answers to {drive}"
         )
         return
-    # A speed acts at once, and is often logged late: a fit finds by how much.
-    late = view.commanded and bool(rolls) and max(rolls) < 0.5 * view.dt
+    # A speed acts at once, and is often logged late: a fit finds by how much. Rotors that obey at
+    # once (a simulator's) lag by half a row, in which the command is held, and by as much less than
+    # nothing where it is logged a row late.
+    late = view.commanded and bool(rolls) and max(rolls) < 0.0
     late = late and found is not None and float(found.lag_error[:2].max()) < view.dt
     yield Finding(
         check="alignment",

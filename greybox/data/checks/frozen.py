@@ -155,7 +155,8 @@ def _dead(view: View, names: list[str]) -> Finding:
         flight=view.name,
         where=", ".join(names),
         message=f"{', '.join(names)} never changes in flight, the rest of the sensor does",
-        fix="leave the column out where the sensor does not measure it",
+        fix="leave the column out where the sensor does not measure it (a simulated craft "
+        "without drag feels no side force: keep it)",
     )
 
 
