@@ -12,9 +12,12 @@ from greybox.errors import GreyboxError
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
+from greybox.statistics.blocks import clearly
+from greybox.symbolic import FloatArray
+from greybox.validation.against import TRACE
 from greybox.validation.gap import GapRow, HeldOutErrors, Squares, gap, predict_ahead
 from greybox.validation.validate import verdict_on
-from greybox.validation.worth import Span, worth
+from greybox.validation.worth import Span, seconds
 
 _Known = weakref.WeakKeyDictionary[IdentifiedModel, dict[bool, HeldOutErrors | None]]
 """Errors without and with what has no name, as long as somebody has the model."""
@@ -59,8 +62,8 @@ class Judges:
     ) -> bool:
         """Whether effects of a model stand against force and torque without a name: somewhere with
         them much larger errors than `before`, which what the filter sees mends; and all in all,
-        within `span` [s], clearly larger ones than without all of them or one, all other numbers
-        as they are.
+        within `span` [s], clearly larger ones, by more than a trace, than without all of them or
+        one, all other numbers as they are.
 
         Where commands answer gusts, the craft itself may foretell worse by its physics alone than a
         wrong one that answers less, or a second ahead than itself without its lag; but not all in
@@ -70,7 +73,7 @@ class Judges:
             return False
         own, ways = self.errors(model), (names, *([n] for n in sorted(names)))
         bare = (self.errors(_at_null(model, some)) for some in ways)
-        return any(old and own and worth(old, own, span).harms for old in bare)
+        return any(old and own and _grow(seconds(old, own, span)) for old in bare)
 
     def rows(
         self,
@@ -96,6 +99,12 @@ class Judges:
             filtered=filtered.own if filtered else None,
             seed=self.seed,
         )
+
+
+def _grow(changes: FloatArray) -> bool:
+    """Whether squared errors of every second, in (old - new) / (old + new), clearly grow by more
+    than a trace."""
+    return clearly(-changes) and float(changes.mean()) < -TRACE / (2.0 - TRACE)
 
 
 def _at_null(model: IdentifiedModel, names: Collection[str]) -> IdentifiedModel:
