@@ -195,3 +195,13 @@ def test_held_out_data_too_short_to_tell_orders_apart_have_no_say(tmp_path, caps
     choice = json.loads((tmp_path / "out/fit.json").read_text())["models"][0]["fit"]["order_choice"]
     assert choice["order"] == min(choice["table"], key=lambda r: r["bic"])["order"] == 2
     assert "too short to tell one order from another" in capsys.readouterr().out
+
+
+def test_a_column_may_have_any_name(tmp_path):
+    a = write(tmp_path / "a.csv", header="t,valve one,débit,speed (rpm),2nd")
+    words = ("--inputs", "valve one,débit", "--outputs", "speed (rpm),2nd", "--order", 3)
+    assert run("--train", a, *words, "--out", tmp_path / "out") == 0
+    model = LinearModel.load(tmp_path / "out/model.json")
+    assert model.inputs.names == ("valve one", "débit")
+    with pytest.raises(GreyboxError, match="unknown column 'valve two'"):
+        run("--train", a, "--inputs", "valve two", "--outputs", "2nd", "--out", tmp_path / "no")
