@@ -205,3 +205,19 @@ def test_a_column_may_have_any_name(tmp_path):
     assert model.inputs.names == ("valve one", "débit")
     with pytest.raises(GreyboxError, match="unknown column 'valve two'"):
         run("--train", a, "--inputs", "valve two", "--outputs", "2nd", "--out", tmp_path / "no")
+
+
+def test_test_errors_say_where_they_are_those_of_the_start(tmp_path, capsys):
+    """Noise on the output alone: the predictor of a slow plant never forgets its start."""
+    for i, name in enumerate(("a", "b")):
+        rng = np.random.default_rng(i)
+        u = np.repeat(rng.choice([-1.0, 1.0], 40), 50)
+        y = lfilter([0, 2e-3], [1, -0.998], u) + 1e-2 * rng.standard_normal(2000)
+        columns = np.column_stack([0.02 * np.arange(2000), u, y + 2 * i])
+        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t,u,y", comments="")
+    words = ("--train", tmp_path / "a.csv", "--test", tmp_path / "b.csv", "--inputs", "u")
+    words = (*words, "--outputs", "y", "--order", 1, "--out", tmp_path / "out")
+    run(*words)
+    assert "errors may be those of unknown start states" in capsys.readouterr().out
+    run(*words, "--adapt", 5)
+    assert "errors may be those of unknown start states" not in capsys.readouterr().out
