@@ -23,7 +23,7 @@ from greybox.baselines.compare_scores import SPACING
 from greybox.baselines.decoupled import Terms, combined
 from greybox.baselines.filter_predictor import FilterPredictor
 from greybox.baselines.kinematics import IMU, black_box_view, motion
-from greybox.baselines.linear_predictor import RUN_IN, LinearPredictor
+from greybox.baselines.linear_predictor import LinearPredictor
 from greybox.baselines.regressors import Point, Predictor
 from greybox.data import Dataset, Segment
 from greybox.data.channel import channel
@@ -34,6 +34,7 @@ from greybox.estimation.record import hold_missing
 from greybox.journal import apart, spared
 from greybox.linear.fit import LinearFit, fit_linear
 from greybox.linear.records import Record, split_at_missing
+from greybox.linear.validation import RUN_IN
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import demand_known
 from greybox.model.vehicle import Vehicle

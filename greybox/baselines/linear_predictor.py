@@ -17,11 +17,9 @@ from greybox.estimation.record import hold_missing
 from greybox.linear.prediction import adapt
 from greybox.linear.predictor import predict
 from greybox.linear.records import Record, delayed
+from greybox.linear.validation import RUN_IN
 from greybox.model.linear import LinearModel
 from greybox.symbolic import Expr, FloatArray
-
-RUN_IN = 2.0
-"""Seconds after which a linear model that starts from zero is taken to have forgotten that."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,10 +10,10 @@ import numpy as np
 
 from greybox.baselines.base_predictor import BasePredictor
 from greybox.baselines.compare_scores import SPACING, StepScores, one_step_scores
-from greybox.baselines.linear_predictor import RUN_IN
 from greybox.baselines.output_residual import OutputHybrid
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
+from greybox.linear.validation import RUN_IN
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.horizon import spread_origins
 from greybox.validation.predictive import score

@@ -174,7 +174,8 @@ class LinearSetup:
     cross_validate: bool = False
     """Whether orders are also compared on left-out records."""
     center: bool = True
-    """Whether the pooled means are the operating point."""
+    """Whether the pooled means are the operating point; where a pole integrates, zero inputs are
+    tried too."""
     solver: str = "gauss-newton"
     """"gauss-newton", or "ipopt": slow, a check."""
     name: str = "linear"
@@ -207,10 +208,11 @@ def fit_linear(
     `choose_order`). `delays` are whole samples per input, or "auto" (see `estimate_delays`). A
     number is the most states: those that the data do not carry are left out, with a warning
     (`search.find`; `Options(exact_order=True)` keeps them). `dt` in seconds. `center` takes the
-    pooled means as the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from
-    the subspace start, or from the chosen order: slow, a check. The choices are keywords, fields of
-    `LinearSetup` with its defaults. Raises `DataError` (bad records, too short for the order),
-    `FitError` and `UnknownNameError` (of a choice, too).
+    pooled means as the operating point (zero inputs beside an integrator, if likelier). `solver`
+    "ipopt" minimises the same criterion by IPOPT from the subspace start, or from the chosen order:
+    slow, a check. The choices are keywords, fields of `LinearSetup` with its defaults. Raises
+    `DataError` (bad records, too short for the order), `FitError` and `UnknownNameError` (of a
+    choice, too).
     """
     if not records:
         raise DataError("no records", fix="pass at least one log to train on")
@@ -226,9 +228,10 @@ def fit_linear(
         input_names=columns.inputs.names,
         output_names=columns.outputs.names,
     )
-    found, choice = _found(scaled, order, options, setup)
-    fit = _assemble(found, scaled, scaling, options, columns)
-    fit = replace(fit, order_choice=choice)
+    fit = _fitted(scaled, scaling, order, options, setup, columns)
+    if setup.center and _integrates(fit):
+        other = _fitted(*_from_zero(scaled, scaling), order, options, setup, columns)
+        fit = min(fit, other, key=lambda f: f.criterion + f.parameters * np.log(f.samples))
     if isinstance(order, str) or fit.order == order:
         return fit
     spare = (
@@ -236,6 +239,34 @@ def fit_linear(
         "marginal likelihood, and were left out; --exact-order (exact_order=True) keeps them"
     )
     return replace(fit, warnings=(spare, *fit.warnings))
+
+
+def _fitted(
+    scaled: Sequence[Record],
+    scaling: Scaling,
+    order: int | str,
+    options: Options,
+    setup: LinearSetup,
+    columns: _Columns,
+) -> LinearFit:
+    found, choice = _found(scaled, order, options, setup)
+    return replace(_assemble(found, scaled, scaling, options, columns), order_choice=choice)
+
+
+def _integrates(fit: LinearFit) -> bool:
+    """Does a pole not settle within the longest record? To such a plant the mean of an input is no
+    operating point: it moves away at any input but the right one, and no output offset mends
+    that."""
+    longest = max(len(e) for e in fit.innovations)
+    away = np.abs(np.linalg.eigvals(fit.model.matrices.a) - 1.0)
+    return bool(len(fit.model.inputs)) and bool(away.min(initial=1.0) < 1.0 / longest)
+
+
+def _from_zero(scaled: Sequence[Record], scaling: Scaling) -> tuple[list[Record], Scaling]:
+    """The records with inputs counted from zero instead of their mean."""
+    shift = scaling.input_offset / scaling.input_scale
+    moved = [replace(r, u=r.u + shift) for r in scaled]
+    return moved, replace(scaling, input_offset=np.zeros_like(shift))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,8 +41,9 @@ class ChannelSpec:
 
     @staticmethod
     def parse(text: str) -> ChannelSpec:
-        """`p` or `name=a+2*b-c`. Raises `DataError` for anything else."""
-        name, _, formula = text.partition("=")
+        """`p` or `name=a+2*b-c`; without `=` what is no sum is the name of a column, however it is
+        spelt. Raises `DataError` for anything else."""
+        name, named, formula = text.partition("=")
         name, formula = name.strip(), (formula or name).strip()
         signed = formula if formula[:1] in "+-" else "+" + formula
         terms, end = [], 0
@@ -52,6 +53,8 @@ class ChannelSpec:
             sign, factor, column = match.groups()
             terms.append((float(factor or 1.0) * (-1.0 if sign == "-" else 1.0), column))
             end = match.end()
+        if name and not named and (not terms or signed[end:].strip()):
+            return ChannelSpec(name=name, terms=((1.0, name),))
         if not name or not terms or signed[end:].strip():
             raise DataError(
                 f"channel '{text}'",

@@ -30,7 +30,7 @@ class OrderRow:
     `held_out` is -2 log likelihood per sample on data that this row's rival fit never saw, a mean
     over blocks of 50 samples without the tenth at either end, so that one rough landing does not
     decide; `held_out_p` the p-value of a signed-rank test over blocks that the best row predicts no
-    better than this one.
+    better than this one, NaN where there are too few blocks for it ever to say so.
     """
 
     order: int
@@ -135,9 +135,11 @@ def choose_order(
 def _by_held_out(rows: Sequence[OrderRow], order: int) -> tuple[int, list[str]]:
     """The smallest order that predicts unseen data no worse than by chance, where that is below
     `order`, and why. Where its fit did not converge, the smallest such order whose fit did."""
-    scored = [r for r in rows if np.isfinite(r.held_out)]
-    if not scored:
+    if not any(np.isfinite(r.held_out) for r in rows):
         return order, []
+    scored = [r for r in rows if np.isfinite(r.held_out_p)]
+    if not scored:
+        return order, ["held-out data are too short to tell one order from another"]
     best = min(scored, key=lambda r: r.held_out)
     no_worse = [r for r in scored if r.held_out_p > ONE_ERROR]
     enough = min(r.order for r in no_worse)
@@ -270,7 +272,10 @@ def _blocks(values: np.ndarray, block: int = 50) -> np.ndarray:
 
 def _no_worse(difference: np.ndarray) -> float:
     """One-sided signed-rank p-value of the block means of a difference being above zero; 1 where it
-    is zero."""
+    is zero, NaN where even all blocks together would be chance."""
+    means = _blocks(difference)
+    if 0.5 ** len(means) > ONE_ERROR:
+        return float("nan")
     if not np.any(difference):
         return 1.0
-    return float(wilcoxon(_blocks(difference), alternative="greater").pvalue)
+    return float(wilcoxon(means, alternative="greater").pvalue)

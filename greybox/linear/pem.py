@@ -41,6 +41,10 @@ on plateaus behind which states of real flights were found."""
 FORGET = 3.0
 """Time constants of the slowest predictor mode that the longest record must hold; exp(-3) of the
 start is then left."""
+RESOLVED = 1e-9
+"""Information about a direction of start and offset together, as a share of the largest, below which
+it is not estimated. Beside a pole near one the two do the same, and their huge difference would
+leave no digits of what depends on the matrices."""
 
 
 class Status(Enum):
@@ -225,7 +229,7 @@ def normal_equations(
             products = np.zeros((p, p, d + n + p))
         start, slope = np.zeros(n + p), np.zeros((n + p, d))
         cross = whole[d:, :d][keep]
-        inverse = np.linalg.pinv(whole[d:, d:][np.ix_(keep, keep)], rcond=1e-11, hermitian=True)
+        inverse = np.linalg.pinv(whole[d:, d:][np.ix_(keep, keep)], rcond=RESOLVED, hermitian=True)
         start[keep], slope[keep] = inverse @ right[d:][keep], inverse @ cross
         h += whole[:d, :d] - cross.T @ slope[keep]
         g += right[:d] - cross.T @ start[keep]
@@ -288,7 +292,7 @@ def start_nuisances(
         whole = np.matmul(whitener, np.concatenate([jx, jc], axis=2)[:, :, keep])
         whole = whole.reshape(-1, whole.shape[2])
         value = np.zeros(n + p)
-        value[keep] = np.linalg.pinv(whole.T @ whole, rcond=1e-13, hermitian=True) @ (
+        value[keep] = np.linalg.pinv(whole.T @ whole, rcond=RESOLVED, hermitian=True) @ (
             whole.T @ (prediction.e @ whitener.T).ravel()
         )
         out.append(Nuisance(x0=value[:n], offset=value[n:]))
@@ -453,7 +457,16 @@ def _allowed(system: Matrices, settings: Settings, radius: float) -> bool:
 
 
 def _finite(normal: Normal) -> bool:
-    return bool(np.isfinite(normal.information).all() and np.isfinite(normal.gradient).all())
+    parts = normal.information, normal.gradient, _at_unit_information(normal)[0]
+    return all(np.isfinite(v).all() for v in parts)
+
+
+def _at_unit_information(normal: Normal) -> tuple[FloatArray, FloatArray]:
+    """(Hessian (d, d) with every direction at unit information, the scale (d,) of each)."""
+    diagonal = np.diag(normal.information)
+    scale = np.sqrt(np.maximum(diagonal, 1e-14 * max(float(diagonal.max(initial=0.0)), 1e-300)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return normal.hessian / np.outer(scale, scale), scale
 
 
 class _Quadratic(NamedTuple):
@@ -470,9 +483,8 @@ class _Quadratic(NamedTuple):
 
     @classmethod
     def of(cls, normal: Normal) -> _Quadratic:
-        diagonal = np.diag(normal.information)
-        scale = np.sqrt(np.maximum(diagonal, 1e-14 * max(float(diagonal.max(initial=0.0)), 1e-300)))
-        values, vectors = np.linalg.eigh(normal.hessian / np.outer(scale, scale))
+        hessian, scale = _at_unit_information(normal)
+        values, vectors = np.linalg.eigh(hessian)
         return cls(values, vectors.T @ (normal.gradient / scale), vectors / scale[:, None])
 
     @property

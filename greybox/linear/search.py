@@ -335,7 +335,7 @@ def _ranked(
 def _polished(
     starts: Sequence[_Start], records: Sequence[Record], options: Options, values: FloatArray
 ) -> Found:
-    """The best of the starts, each polished; raises `FitError` where there is none."""
+    """The best of the starts, each polished; raises `FitError` where none is one."""
     if not starts:
         raise FitError(
             "every start predicts an output without error or diverges",
@@ -343,15 +343,22 @@ def _polished(
         )
     settings = options.settings if options.polish else replace(options.settings, max_iterations=0)
     best: Solution | None = None
+    failed: FitError | None = None
     name = ""
     for start in starts:
         point = Free(
             system=start.system, noise_model=options.noise_model, feedthrough=options.feedthrough
         )
-        solution = minimise(point, records, settings, nuisances=start.nuisances)
+        try:
+            solution = minimise(point, records, settings, nuisances=start.nuisances)
+        except FitError as error:
+            failed = failed or error
+            continue
         if best is None or solution.evaluation.criterion < best.evaluation.criterion:
             best, name = solution, start.name
-    assert best is not None
+    if best is None:
+        assert failed is not None
+        raise failed
     return Found(solution=best, start=name, singular_values=values)
 
 

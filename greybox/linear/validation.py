@@ -24,6 +24,8 @@ from greybox.validation.whiteness import Whiteness, whiteness
 
 MAX_LAG = 25
 LEVEL = 0.99
+RUN_IN = 2.0
+"""Seconds, not scored, after which a model that starts from zero is taken to have forgotten that."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +49,7 @@ class Identified:
     never saw).
 
     `log_det_test` is log det of the one-step innovation covariance about zero on the test records,
-    NaN without any.
+    NaN without any. `remembers` [s] is how long the predictor keeps e^-1 of a wrong start state.
     """
 
     fit: LinearFit
@@ -59,6 +61,7 @@ class Identified:
     train_fit: FloatArray
     log_det_test: float
     adapted_on: float
+    remembers: float
     columns: tuple[int, ...]
     outputs: tuple[int, ...]
     intervals: tuple[Interval, ...] = ()
@@ -100,6 +103,14 @@ class Identified:
             },
         }
 
+    def _hangs_on_starts(self) -> bool:
+        """Are one-step errors twice those of training, whose start states were fitted, and may the
+        start be why?"""
+        if self.adapted_on or self.remembers < RUN_IN / 3:
+            return False
+        usual = np.sqrt(np.diag(self.fit.model.noise))
+        return any(bool((r.rmse > 2 * usual).any()) for r in self.rows if r.horizon == 1)
+
     def format(self) -> str:
         """Tables for the terminal."""
         names = self.fit.model.outputs.names
@@ -126,6 +137,11 @@ class Identified:
                 for n, rmse, fit, other in zip(names, r.rmse, r.fit, r.persistence)
             )
             lines.append(f"test {r.record} {what}: RMSE {cells}")
+        if self._hangs_on_starts():
+            lines.append(
+                "the test errors may be those of unknown start states, which the predictor forgets "
+                f"in {3 * self.remembers:.3g} s: --adapt S fits them to the first S seconds"
+            )
         return "\n".join(lines)
 
 
@@ -168,10 +184,19 @@ def validate_linear(
         train_fit=100 * (1 - share),
         log_det_test=_log_det(one_step),
         adapted_on=adapt_seconds,
+        remembers=_memory(fit),
         columns=tuple(columns),
         outputs=tuple(outputs),
         intervals=tuple(intervals),
     )
+
+
+def _memory(fit: LinearFit) -> float:
+    """Time constant [s] of the predictor's slowest mode."""
+    radius = spectral_radius(fit.model.matrices.predictor)
+    if radius >= 1.0:
+        return float("inf")
+    return fit.model.dt / -np.log(radius) if radius > 0.0 else 0.0
 
 
 def _whiteness(fit: LinearFit) -> Whiteness | None:
@@ -247,7 +272,7 @@ def _test_rows(
     # A horizon of which a short record holds no more than a few is left out, unless it is the only
     # one.
     reached = [h for h in horizons if h <= len(record) // 2] or [min(horizons)]
-    first = max(known.samples, min(round(2.0 / model.dt), (len(record) - max(reached)) // 3))
+    first = max(known.samples, min(round(RUN_IN / model.dt), (len(record) - max(reached)) // 3))
     out = []
     for ahead in k_step(model, record, reached, x0=known.x0, offset=known.offset):
         error = (ahead.measured - ahead.predicted)[first:]

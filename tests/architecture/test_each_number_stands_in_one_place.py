@@ -36,7 +36,7 @@ ONCE = {
         0.1,
         "greybox/data/segment.py",
     ),
-    "RUN_IN": (r"RUN_IN", 2.0, "greybox/baselines/linear_predictor.py"),
+    "RUN_IN": (r"RUN_IN", 2.0, "greybox/linear/validation.py"),
     "SPACING": (r"SPACING", 0.1, "greybox/baselines/compare_scores.py"),
     "STRETCH": (r"STRETCH|GAP", 2.5, "greybox/data/resampling.py"),
     "AVERAGE_FROM": (r"AVERAGE_FROM|FAST", 1.5, "greybox/data/resampling.py"),

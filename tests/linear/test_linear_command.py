@@ -5,6 +5,7 @@ from importlib.resources import files
 import jsonschema
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from greybox.commands import linear
 from greybox.errors import GreyboxError
@@ -179,3 +180,44 @@ def test_profile_intervals_and_what_was_done_to_the_log_are_told(tmp_path, capsy
     assert "profile interval" in said
     assert "note: a: 2 missing input samples held" in said
     assert "not used" not in said
+
+
+def test_held_out_data_too_short_to_tell_orders_apart_have_no_say(tmp_path, capsys):
+    """18 samples are two blocks, whose ranks can never say that an order is worse: order 1 of a
+    damped oscillator was taken, with an unstable pole."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], 12), 5)
+    y = lfilter([0, 7.9e-4, 7.8e-4], [1, -1.9747, 0.97629], u) + 0.01 * rng.standard_normal(60)
+    columns = np.column_stack([0.02 * np.arange(60), u, y])
+    a = tmp_path / "a.csv"
+    np.savetxt(a, columns, delimiter=",", header="t,u,y", comments="")
+    run("--train", a, "--inputs", "u", "--outputs", "y", "--out", tmp_path / "out")
+    choice = json.loads((tmp_path / "out/fit.json").read_text())["models"][0]["fit"]["order_choice"]
+    assert choice["order"] == min(choice["table"], key=lambda r: r["bic"])["order"] == 2
+    assert "too short to tell one order from another" in capsys.readouterr().out
+
+
+def test_a_column_may_have_any_name(tmp_path):
+    a = write(tmp_path / "a.csv", header="t,valve one,débit,speed (rpm),2nd")
+    words = ("--inputs", "valve one,débit", "--outputs", "speed (rpm),2nd", "--order", 3)
+    assert run("--train", a, *words, "--out", tmp_path / "out") == 0
+    model = LinearModel.load(tmp_path / "out/model.json")
+    assert model.inputs.names == ("valve one", "débit")
+    with pytest.raises(GreyboxError, match="unknown column 'valve two'"):
+        run("--train", a, "--inputs", "valve two", "--outputs", "2nd", "--out", tmp_path / "no")
+
+
+def test_test_errors_say_where_they_are_those_of_the_start(tmp_path, capsys):
+    """Noise on the output alone: the predictor of a slow plant never forgets its start."""
+    for i, name in enumerate(("a", "b")):
+        rng = np.random.default_rng(i)
+        u = np.repeat(rng.choice([-1.0, 1.0], 40), 50)
+        y = lfilter([0, 2e-3], [1, -0.998], u) + 1e-2 * rng.standard_normal(2000)
+        columns = np.column_stack([0.02 * np.arange(2000), u, y + 2 * i])
+        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t,u,y", comments="")
+    words = ("--train", tmp_path / "a.csv", "--test", tmp_path / "b.csv", "--inputs", "u")
+    words = (*words, "--outputs", "y", "--order", 1, "--out", tmp_path / "out")
+    run(*words)
+    assert "errors may be those of unknown start states" in capsys.readouterr().out
+    run(*words, "--adapt", 5)
+    assert "errors may be those of unknown start states" not in capsys.readouterr().out

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 
 from greybox.errors import FitError
 from greybox.linear import pem
@@ -264,3 +265,44 @@ def test_a_start_whose_model_explodes_is_polished_without_overflow(radius):
             Free(system=start, feedthrough=False), records, pem.Settings(max_iterations=0)
         ).evaluation.criterion
     )
+
+
+def test_a_start_that_does_what_an_offset_does_leaves_digits_to_the_matrices():
+    """Beside an integrator start and offset differ by rounding alone, and information of the
+    matrices became negative."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], 120), 25) + 0.1
+    y = scipy.signal.lfilter([0, 1e-3], [1, -1.9608, 0.9608], u)
+    y = y + 0.01 * rng.standard_normal(len(u))
+    records, _ = prepare([Record(u=u[:, None], y=y[:, None])])
+    a, k = np.array([[1.0 + 1e-7, 0.02], [0.0, 0.9608]]), np.array([[0.12], [0.16]])
+    system = Matrices(a, np.array([[0.0], [0.05]]), np.eye(1, 2), np.zeros((1, 1)), k)
+    nuisances = pem.start_nuisances(system, records, Settings())
+    here = pem.evaluate(system, nuisances, records, np.eye(1))
+    normal = pem.normal_equations(Free(system=system), records, here, Settings())
+    assert np.linalg.eigvalsh(normal.information)[0] > 0
+    assert np.abs(nuisances[0].offset).max() < 100
+
+
+def test_normal_equations_without_information_are_no_place_to_go_on_from():
+    lost = pem.Normal(-1e10 * np.eye(2), np.ones(2), 1e12 * np.eye(2), [])
+    assert not pem._finite(lost)
+    assert pem._finite(pem.Normal(np.eye(2), np.ones(2), np.eye(2), []))
+
+
+def test_an_integrator_stands_still_at_no_input_and_not_at_the_mean_of_its_inputs():
+    """The mean of the inputs as operating point put a ramp into the model, which a pole beside one
+    and a huge start had to undo."""
+    records = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], 40), 25) + 0.3
+        y = scipy.signal.lfilter([0, 0.02], [1, -1], u) + 0.01 * rng.standard_normal(len(u))
+        records.append(Record(u=u[:, None], y=y[:, None] + 5.0, name=f"r{seed}"))
+    fit = fit_linear(records[:1], 1, dt=0.02)
+    assert fit.model.input_offset[0] == 0.0
+    assert abs(fit.uncertainty.poles().value[0].real - 1.0) < 1e-4
+    truth = 0.01**2
+    assert fit.model.noise[0, 0] < 1.1 * truth
+    drift = fit.model.matrices.b[0, 0] * fit.model.matrices.c[0, 0]
+    assert abs(drift - 0.02) < 2e-4
