@@ -226,11 +226,10 @@ def guess_streams(
     """As `guess_columns`, of several tables by name, whose names say what is in them as well; a
     guess has columns of one table."""
     # The number of an instance stands behind the name, and says nothing.
-    origin = {
-        f"{re.sub(r'_[0-9]+$', '', name)}/{field}": (name, field)
-        for name, fields in reversed(list(streams.items()))
-        for field in fields
-    }
+    origin: dict[str, tuple[str, str]] = {}
+    for name, fields in streams.items():
+        for field in fields:
+            origin.setdefault(f"{re.sub(r'_[0-9]+$', '', name)}/{field}", (name, field))
     found = guess_columns({k: streams[n][f] for k, (n, f) in origin.items()}, without)
     return tuple(
         replace(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from greybox.cli import main
+from greybox.data.column_guess import guess_streams
 from greybox.data.inspection import inspect_log
 from greybox.data.logs import read_log
 from greybox.errors import DataError
@@ -73,6 +74,33 @@ def test_a_folder_of_flights_is_no_log(tmp_path: Path) -> None:
         w.write_csv(tmp_path / f"{name}.csv", rows)
         with pytest.raises(DataError, match=r"a folder, not a log.*name the log files"):
             inspect_log(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["{0}/{1}.csv", "{0}_{1}_0.csv", "12_{0}0_00_{1}.csv"])
+def test_the_tables_of_two_flights_are_no_log(name: str, tmp_path: Path) -> None:
+    """Commands of one would be held against the pose of the other."""
+    c = w.channels(rows=100)
+    rows = {"motors": ["u1", "u2", "u3", "u4"], "imu": ["p", "q", "r"], "pose": ["x", "y", "z"]}
+
+    def fly(flight: str, tables: list[str]) -> None:
+        for table in tables:
+            (tmp_path / name.format(flight, table)).parent.mkdir(exist_ok=True)
+            columns = {n: c[n] for n in ("t", *rows[table])}
+            w.write_csv(tmp_path / name.format(flight, table), columns)
+
+    fly("1", ["motors", "imu", "pose"])
+    fly("2", ["motors"])  # a motor's table twice is no flight
+    assert inspect_log(tmp_path).format.name == "folder"
+    fly("2", ["imu"])
+    with pytest.raises(DataError, match=r"a folder, not a log.*flights"):
+        inspect_log(tmp_path)
+
+
+def test_of_tables_that_say_the_same_the_first_is_guessed() -> None:
+    c = w.channels(rows=100)
+    rates = {f"w_{axis}": c[name] for axis, name in zip("xyz", "pqr", strict=True)}
+    (guess,) = guess_streams({"imu0/data": rates, "imu1/data": rates})
+    assert guess.stream == "imu0/data"
 
 
 def test_a_struct_of_parquet_is_a_column_per_field(tmp_path: Path) -> None:
