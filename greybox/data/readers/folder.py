@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,14 +36,21 @@ def read_folder(path: Path) -> Recording:
     """The tables of a folder and of those in it as streams. Raises `DataError` where none has a
     clock."""
     tables: dict[str, Table] = {}
+    clocks: dict[str, LogMapping | None] = {}
+    groups: dict[str, set[str]] = {}
     notes: list[str] = []
     for name, file in _tables(path):
         try:
-            tables[name] = _READ[_ending(file)](file)
+            table = _READ[_ending(file)](file)
         except DataError as error:
             notes.append(f"passed over: {error}")
+            continue
+        tables[name], clocks[name] = table, _clock(table)
+        groups[name] = _groups(name, table)
+        flights = [n for n, some in groups.items() if clocks[n] and _is_flight(some)]
+        if len(flights) > 1:  # a folder of flights may be larger than the memory
+            raise _no_log(path, flights, notes)
     streams: dict[str, Stream] = {}
-    clocks = {name: _clock(table) for name, table in tables.items()}
     # A table too slow to tell the unit of its clock has that of the others.
     units = {clock.time_field: clock.time_unit for clock in clocks.values() if clock}
     for name, table in tables.items():
@@ -54,17 +61,9 @@ def read_folder(path: Path) -> Recording:
             continue
         found = stream_of_table(table, clock, where=f"{path}: {name}")
         streams[name] = replace(found.streams[TABLE], name=name)
-    groups = {name: _groups(stream) for name, stream in streams.items()}
-    flights = [n for n, some in groups.items() if DRIVEN & some and MEASURED & some]
-    flights = _twice(streams, groups) or flights
+    flights = _twice(streams, groups) or [n for n in streams if _is_flight(groups[n])]
     if not streams or len(flights) > 1 or (flights and len(streams) == 1):
-        several = f"flights {', '.join(flights[:4])}" if flights else "; ".join(notes)[:200]
-        raise DataError(
-            "a folder, not a log",
-            where=str(path),
-            got=several or "no table in it",
-            fix="name the log files in it, or the folder of one flight",
-        )
+        raise _no_log(path, flights, notes)
     return Recording(
         format=FORMAT.name,
         source=path.name,
@@ -74,9 +73,25 @@ def read_folder(path: Path) -> Recording:
     )
 
 
-def _groups(stream: Stream) -> set[str]:
-    named = {channel(n).group for n in stream.fields if is_canonical(n)}
-    return named | {g.group for g in guess_streams({stream.name: stream.fields})}
+def _no_log(path: Path, flights: Sequence[str], notes: Sequence[str]) -> DataError:
+    several = f"flights {', '.join(flights[:4])}" if flights else "; ".join(notes)[:200]
+    return DataError(
+        "a folder, not a log",
+        where=str(path),
+        got=several or "no table in it",
+        fix="name the log files in it, or the folder of one flight",
+    )
+
+
+def _is_flight(groups: set[str]) -> bool:
+    return bool(groups & DRIVEN and groups & MEASURED)
+
+
+def _groups(name: str, table: Table) -> set[str]:
+    """What the columns of a table are or look like."""
+    columns = {k: v for k, v in table.columns.items() if is_numeric(v)}
+    named = {channel(n).group for n in columns if is_canonical(n)}
+    return named | {g.group for g in guess_streams({name: columns})}
 
 
 def _twice(streams: Mapping[str, Stream], groups: Mapping[str, set[str]]) -> list[str]:
@@ -84,7 +99,7 @@ def _twice(streams: Mapping[str, Stream], groups: Mapping[str, set[str]]) -> lis
     same columns, whose names end alike, stand in both; empty where there are none."""
     seen: list[set[tuple[str, ...]]] = []
     for kind in (DRIVEN, MEASURED):
-        of_kind = [n for n, some in groups.items() if kind & some]
+        of_kind = [n for n in streams if kind & groups[n]]
         pairs = itertools.combinations(of_kind, 2)
         alike = (p for p in pairs if streams[p[0]].fields.keys() == streams[p[1]].fields.keys())
         seen.append({tuple(n.removesuffix(_end(*p)) or "." for n in p) for p in alike if _end(*p)})
