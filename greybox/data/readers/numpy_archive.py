@@ -57,11 +57,16 @@ def read_npz(path: str | os.PathLike[str]) -> Table:
     return replace(table, notes=(*table.notes, said)) if left else table
 
 
+def _first_entry(head: bytes) -> bytes:
+    """The name of the first entry of a ZIP archive that begins with these bytes."""
+    return head[30 : 30 + int.from_bytes(head[26:28], "little")]
+
+
 FORMAT = LogFormat(
     name="numpy",
     title="NumPy archive",
     endings=(".npz",),
-    recognise=lambda path, head: head.startswith(_ZIP) and path.name.lower().endswith(".npz"),
+    recognise=lambda path, head: head.startswith(_ZIP) and _first_entry(head).endswith(b".npy"),
     table=read_npz,
     advice={"": "np.savez one array (N, K) per sensor and a vector t [s] of N"},
 )
