@@ -17,6 +17,7 @@ import numpy as np
 from greybox.data.direction import axis_of_thrust
 from greybox.data.raw import FloatArray
 from greybox.data.readers.mapping import SCHEMA, TIME_UNITS, mapping_text
+from greybox.data.readers.recording import FRAMES
 from greybox.files import Json
 from greybox.frames import GRAVITY
 
@@ -225,11 +226,10 @@ def guess_streams(
     """As `guess_columns`, of several tables by name, whose names say what is in them as well; a
     guess has columns of one table."""
     # The number of an instance stands behind the name, and says nothing.
-    origin = {
-        f"{re.sub(r'_[0-9]+$', '', name)}/{field}": (name, field)
-        for name, fields in reversed(list(streams.items()))
-        for field in fields
-    }
+    origin: dict[str, tuple[str, str]] = {}
+    for name, fields in streams.items():
+        for field in fields:
+            origin.setdefault(f"{re.sub(r'_[0-9]+$', '', name)}/{field}", (name, field))
     found = guess_columns({k: streams[n][f] for k, (n, f) in origin.items()}, without)
     return tuple(
         replace(
@@ -356,9 +356,9 @@ def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
     return tuple(
         replace(g, frame="FRD" if down else "FLU", why=f"{g.why}; {along}")
         if g.group == "velocity"
-        and (_bare(g.fields[0]).lower() == "u" or _axes_of(g.fields[0]) in ("FLU", "FRD"))
-        else replace(g, frame=_axes_of(g.fields[0]), why=f"{g.why}; along the world, by the name")
-        if g.group in ("rate", "specific_force") and _axes_of(g.fields[0]) in ("ENU", "NED")
+        and (_bare(g.fields[0]).lower() == "u" or _axes_of(g) in ("FLU", "FRD"))
+        else replace(g, frame=_axes_of(g), why=f"{g.why}; along {_axes_of(g)}, by the name")
+        if _axes_of(g) in FRAMES.get(g.group, ())[1:]
         else replace(g, frame="FLU", why=f"{g.why}; along the body, as nav_msgs/Odometry says")
         if g.group == "velocity" and _ODOMETRY.search(g.fields[0].lower())
         else replace(g, frame=g.frame or frames.get(g.group, ""))
@@ -366,11 +366,22 @@ def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
     )
 
 
-def _axes_of(name: str) -> str:
-    """The frame that stands behind a word, vel_body_x; "" where none does."""
-    match = _IN_FRAME.fullmatch(re.sub(r"[\W_]*[xyz0-9]\W*$", "", _bare(name).lower()))
-    last = match[2] if match else ""
+def _axes_of(guess: Guess) -> str:
+    """The frame that stands behind the word of a group, vel_body_x; "" where none does."""
+    front, last = _framed_word(re.sub(r"[\W_]*[xyz0-9]\W*$", "", _bare(guess.fields[0]).lower()))
+    if not _says(front, _WORDS.get(guess.group, "")):
+        return ""
     return next((frame for frame, words in _ALONG.items() if re.fullmatch(words, last)), "")
+
+
+def _framed_word(stem: str) -> tuple[str, str]:
+    """(what stands in axes, the word or letter of these axes) of a stem; "" where none is there."""
+    match = _IN_FRAME.fullmatch("_".join(_words(stem)))
+    return (match[1], match[2]) if match else ("", "")
+
+
+def _words(stem: str) -> list[str]:
+    return [part for part in re.split(r"[\W_]+", stem) if part and part not in _NO_NAME]
 
 
 def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
@@ -527,7 +538,10 @@ def _meant(stem: str) -> str:
 
 def _said(stem: str, groups: Mapping[str, str]) -> str:
     """The group whose words most of the last words of a stem are: angular_velocity is no velocity.
-    "": none."""
+    "": none. A letter behind a word of a group is that of axes: vel_w is no rate, drone_w is one."""
+    front = "" if groups is _NUMBERED else _framed_word(stem)[0]
+    if front and (said := _said(front, groups)):
+        return said
     run = {group: _run(stem, words) for group, words in groups.items()}
     best = max(run, key=lambda group: run[group])
     return best if run[best] else ""
@@ -539,12 +553,12 @@ def _says(stem: str, words: str) -> bool:
 
 def _run(stem: str, words: str) -> int:
     """How many of the last words of a stem, written as one, are one of these; 0 for none."""
-    parts = [part for part in re.split(r"[\W_]+", stem) if part and part not in _NO_NAME]
+    parts = _words(stem)
     runs = (n for n in range(len(parts), 0, -1) if re.fullmatch(words, "".join(parts[-n:])))
     if (run := next(runs, 0)) or words in _NUMBERED.values():  # a rotor's number is along no axis
         return run
-    framed = _IN_FRAME.fullmatch("_".join(parts))
-    return _run(framed[1], words) if framed else 0
+    front = _framed_word(stem)[0]
+    return _run(front, words) if front else 0
 
 
 def _unit_of_gravity(norm: float) -> str:

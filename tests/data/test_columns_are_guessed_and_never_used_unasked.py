@@ -670,3 +670,19 @@ def test_g_beside_a_is_the_gyro(stem: str) -> None:
     rates = axes(f"{stem}g", SWING, after=end)
     assert guessed(rates) == {}
     assert guessed(rates | axes(f"{stem}a", LEVEL, after=end))["rate"].fields == tuple(rates)
+
+
+def test_a_letter_behind_the_word_of_a_sensor_is_of_axes_and_behind_another_word_the_sensor() -> (
+    None
+):
+    """vel_w is a velocity along the world, drone_w the rate of the craft, in axes that no name
+    tells."""
+    found = guessed(axes("vel_w_", SWING) | axes("drone_w_", SWING))
+    assert found["velocity"].fields[0] == "vel_w_x" and not found["velocity"].frame
+    assert found["rate"].fields[0] == "drone_w_x" and not found["rate"].frame
+
+
+def test_axes_in_a_name_are_its_frame() -> None:
+    found = guessed(axes("vel_ned_", SWING) | axes("pos_ned_", SWING) | axes("gyr_frd_", SWING))
+    frames = {group: found[group].frame for group in ("velocity", "position", "rate")}
+    assert frames == {"velocity": "NED", "position": "NED", "rate": "FRD"}

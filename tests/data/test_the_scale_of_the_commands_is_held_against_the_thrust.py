@@ -161,6 +161,12 @@ def test_the_motion_weighs_the_thrust_where_no_accelerometer_does(flown, groups)
     assert found.where == f"u1.. against {'x, y, z' if groups else 'vx, vy, vz'} with qw..qz"
 
 
+def test_a_position_in_millimetres_is_not_said_of_the_mass_alone(flown):
+    raw, craft = flown
+    found = said(scaled(blind(raw, "vx", "vy", "vz"), "x y z", 1000.0), craft)
+    assert found and all("the unit in [columns.position]" in f.fix for f in found)
+
+
 def test_a_motion_in_a_wrong_frame_weighs_no_thrust(flown):
     raw, craft = flown
     ned = blind(scaled(raw, "vy vz", -1.0), "x", "y", "z")

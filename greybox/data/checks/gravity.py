@@ -97,7 +97,8 @@ def _wrong_unit(size: float) -> tuple[str, str, str] | None:
     if not 0.6 < share < 1.6:
         message = f"the median specific force in flight is {size:.3g} m/s^2"
         severity = "blocking" if not 0.3 < share < 3 else "warning"
-        return severity, message, "check the unit in [columns.specific_force]"
+        fix = "check the unit in [columns.specific_force], and gravity = false there"
+        return severity, message, fix
     return None
 
 

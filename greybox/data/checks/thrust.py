@@ -142,14 +142,16 @@ def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
     )
     for one in told:
         for flight in one.flights:
+            felt = _felt_by(views_of[flight])
+            unit = "" if felt == "specific_force" else f"; check the unit in [columns.{felt}], too"
             yield Finding(
                 check=CHECK.name,
                 severity=one.said.severity,
                 flight=flight,
-                where=f"u1.. against {_WHERE[_felt_by(views_of[flight])]}",
+                where=f"u1.. against {_WHERE[felt]}",
                 message=one.said.message + one.against,
                 evidence={**one.said.evidence, "flights": len(one.flights)},
-                fix=one.said.fix,
+                fix=one.said.fix + unit,
             )
 
 

@@ -61,7 +61,7 @@ def _stamps_of_two(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         stem = re.fullmatch(r"(.*[\W_])?secs?", name)
         for part in ("nsec", "nsecs", "nanosec", "nanosecs"):
             rest = f"{stem[1] or ''}{part}" if stem else ""
-            if rest in columns:
+            if rest in columns and np.nanmax(columns[rest], initial=0.0) < 1e9:
                 return {f"{name} + {rest}": columns[name] + 1e-9 * columns[rest]}
     return {}
 

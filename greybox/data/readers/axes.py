@@ -36,7 +36,7 @@ def in_own_axes(values: FloatArray, quaternions: FloatArray, source: Source) -> 
 
 def from_matrix(matrices: FloatArray) -> FloatArray:
     """Quaternions (N, 4) of rotation matrices row by row (N, 9). Their length is one only where
-    the matrix is a rotation's."""
+    the matrix is a rotation's; missing where one of its cells is."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = matrices.T
     one = np.ones_like(xx)
     # Four times the outer product of the quaternion with itself; its longest row is the surest.
@@ -52,4 +52,5 @@ def from_matrix(matrices: FloatArray) -> FloatArray:
     best, samples = squares.argmax(axis=1), np.arange(len(rows))
     with np.errstate(invalid="ignore", divide="ignore"):
         out = rows[samples, best] / (2.0 * np.sqrt(squares[samples, best]))[:, None]
+    out[np.isnan(matrices).any(axis=1)] = np.nan  # lost, even where a cell is there
     return np.asarray(np.where(out[:, :1] < 0.0, -out, out))

@@ -3,6 +3,7 @@ line."""
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from greybox.cli import main
 from greybox.data.logs import read_log
+from greybox.data.readers import read_columns
 from greybox.data.readers.numpy_archive import read_npz
 from greybox.errors import DataError
 from tests.data.readers import writers as w
@@ -29,12 +31,25 @@ def test_the_draft_of_an_archive_reads_what_was_flown(tmp_path: Path) -> None:
         np.testing.assert_allclose(read[name], c[name][: len(read[name])], err_msg=name)
 
 
+def test_rotation_matrices_are_nine_columns_and_what_is_left_out_is_said(tmp_path: Path) -> None:
+    log, turns = tmp_path / "a.npz", np.arange(90.0).reshape(10, 3, 3)
+    note = np.array(["seen", {}] * 5, dtype=object)
+    np.savez(log, t=np.arange(10.0), R=turns, gyro=np.zeros((3, 100)), note=note, mass=0.7)
+    table = read_columns(log.rename(tmp_path / "a.zip"))
+    np.testing.assert_array_equal(table.columns["R[5]"], turns[:, 1, 2])
+    assert table.notes == ("left out, no numbers or more than 16 a row: gyro, note",)
+
+
 def test_what_is_no_table_is_refused_in_one_line(tmp_path: Path) -> None:
     log = tmp_path / "a.npz"
     np.savez(log, states=np.zeros((1, 16, 50)))
     with pytest.raises(DataError, match="no numeric vectors"):
         read_npz(log)
     whole = log.read_bytes()
+    with zipfile.ZipFile(log, "w") as packed:
+        packed.writestr("readme.txt", "no arrays")
+    with pytest.raises(DataError, match="no numeric vectors"):
+        read_npz(log)
     for broken in (whole[:200], b"PK\x03\x04" + bytes(300)):
         log.write_bytes(broken)
         with pytest.raises(DataError, match="cannot be read as a NumPy archive"):

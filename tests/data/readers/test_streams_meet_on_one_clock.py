@@ -217,3 +217,11 @@ def test_a_stamp_of_two_columns_is_one_time(whole: str, part: str, tmp_path: Pat
     raw = inspect_log(tmp_path / "a.csv", mapping=draft).raw
     assert raw is not None
     np.testing.assert_allclose(raw.t - raw.t[0], t, atol=1e-6)
+
+
+def test_nanoseconds_that_count_on_are_no_part_of_a_second(tmp_path: Path) -> None:
+    t = 10.0 + 0.01 * np.arange(250)
+    rows = {"t_sec": np.floor(t), "t_nsec": 1e9 * t, "p": np.sin(t)}
+    assert list(
+        inspect_log(w.write_csv(tmp_path / "a.csv", rows)).recording.streams["table"].fields
+    ) == list(rows)
