@@ -19,6 +19,7 @@ import functools
 import json
 import os
 import re
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -324,7 +325,7 @@ def describe(bundle: ExportBundle) -> str:
     if m["c"]:
         lines.append(
             f"  C: {m['c']['real']}, {m['c']['source_bytes'] / 1e3:.0f} kB of source, work "
-            f"{m['c']['work_bytes']} bytes; python -m mpc_export.verify {bundle.folder}"
+            f"{m['c']['work_bytes']} bytes; python -m mpc_export.verify {shlex.quote(str(bundle.folder))}"
         )
     if m["reduction"]:
         cost = m["reduction"]

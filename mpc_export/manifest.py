@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, NotRequired, TypedDict
 
 import casadi as ca
+import numpy as np
 
 from greybox.files import Json
 from greybox.model.identified import IdentifiedModel, library_versions
@@ -454,6 +455,11 @@ def _notes(f: ModelFunctions) -> list[str]:
         )
     window = f.sampled.dynamics.window
     physics = physics_of(f.sampled.dynamics)
+    if physics is None and np.isfinite(f.bounds).any():
+        out.append(
+            "bounds of the commands are the range seen in training: limits of the machine are not "
+            "known"
+        )
     if physics is not None and physics.input == "speed":
         out.append(
             "inputs are rotor speeds [rad/s]: no motor lag between a command and the thrust is in "

@@ -22,7 +22,7 @@ from greybox.model.linear import LinearModel
 from greybox.model.vehicle import read_vehicle
 from greybox.simulators.data_sheet import model_of
 from greybox.symbolic import Layout
-from mpc_export.bundle import write_bundle
+from mpc_export.bundle import describe, write_bundle
 from mpc_export.functions import model_functions
 from mpc_export.signals import told
 from tests.motor import model, record
@@ -132,3 +132,15 @@ def test_a_channel_that_is_a_sum_says_so_from_the_command_line_to_c(tmp_path):
     for text in (header, (made.folder / "README.md").read_text(encoding="utf-8")):
         assert signal.meaning in text
     np.testing.assert_array_equal(back.matrices.a, model.matrices.a)
+
+
+def test_a_range_of_training_is_not_passed_off_as_a_limit_of_the_machine(tmp_path):
+    seen = "bounds of the commands are the range seen in training"
+    own = cases.own()
+    own = replace(own, domain=dict.fromkeys(own.dynamics.inputs.names, (-2.0, 3.0)))
+    made = write_bundle(own, tmp_path / "my exports" / "own", use_cache=False)
+    assert made.manifest["inputs"][0]["upper"] == 3.0
+    assert any(n.startswith(seen) for n in made.manifest["notes"])
+    assert f"mpc_export.verify '{made.folder}'" in describe(made)
+    vehicle = write_bundle(cases.disturbed(), tmp_path / "craft", use_cache=False)
+    assert not any(n.startswith(seen) for n in vehicle.manifest["notes"])
