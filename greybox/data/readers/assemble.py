@@ -363,7 +363,8 @@ class _Grid:
             if self.attitude is None:
                 self.notes.append(f"{what} left out: there is no attitude to turn it")
                 return
-            turn = _unit(at_rows(*self.attitude, t, stream.step))
+            # An attitude between samples is no measurement, but turns a vector well enough.
+            turn = _unit(at_rows(*self.attitude, t, stream.step, sparse=False))
             values = in_own_axes(values, turn, source)
         placed = values if direct else self._placed(group, stream, t, values)
         if infinite.any() and not direct and stream.name == TABLE:

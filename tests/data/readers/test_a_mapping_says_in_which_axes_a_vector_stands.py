@@ -84,6 +84,25 @@ def test_whatever_the_axes_the_channels_are_the_same(
         np.testing.assert_allclose(read.channels[name], true[name], atol=2e-5, err_msg=name)
 
 
+def test_a_slower_attitude_turns_every_sample_of_a_vector(tmp_path: Path) -> None:
+    """Nine of ten samples of the rate were lost, at a tenth of its rate."""
+    true = w.channels(rows=300)
+    path = log(tmp_path / "a.csv", true, w=to_world)
+    text = [line.split(",") for line in path.read_text().splitlines()]
+    lost = [text[0].index(n) for n in ATTITUDE["fields"]]
+    for k, row in enumerate(text[1:]):
+        if k % 10:
+            for i in lost:
+                row[i] = ""
+    path.write_text("\n".join(",".join(row) for row in text) + "\n")
+    said = mapping_of({"rate": RATE | {"frame": "ENU"}, "attitude": ATTITUDE}, where="m.toml")
+    read = read_table(path, mapping=said)
+    assert np.isfinite(read.channels["qw"]).mean() < 0.2
+    for name in ("p", "q", "r"):
+        off = read.channels[name] - true[name]
+        assert np.isfinite(off).mean() > 0.95 and np.nanstd(off) < 0.05 * np.std(true[name]), name
+
+
 def test_a_matrix_is_a_quaternion_of_unit_length_only_where_it_turns() -> None:
     q = np.random.default_rng(0).normal(size=(200, 4))
     q[:4] = np.eye(4)  # half turns, whose scalar is zero, too
