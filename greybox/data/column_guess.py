@@ -590,6 +590,19 @@ def range_of_commands(low: float, high: float) -> tuple[float, float] | None:
     return None
 
 
+def _of_a_force(values: FloatArray) -> tuple[str, bool, str, str]:
+    """(unit, whether gravity is in it, frame, why) of a specific force (N, 3)."""
+    norm = float(np.median(np.linalg.norm(values, axis=1)))
+    unit, why, gravity = _unit_of_gravity(norm), f"middle length {norm:.3g}", True
+    if not unit:
+        why += ": of no known unit, scale = 9.81 / at rest"
+    if not axis_of_thrust(values):
+        unit, gravity = "", False
+        why += ", in no lasting direction: gravity was taken out (along the world: frame = 'ENU')"
+    down = float(np.median(values[:, 2])) < -0.5 * norm
+    return unit, gravity, "FRD" if down else "", f"{why}, z negative: z is down" if down else why
+
+
 def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]) -> Guess:
     """The guess with the unit that its numbers have."""
     values = np.column_stack([columns[n] for n in names])
@@ -603,18 +616,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
     if group == "rate":
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
-        norm = float(np.median(np.linalg.norm(values, axis=1)))
-        unit = _unit_of_gravity(norm)
-        why = f"middle length {norm:.3g}" + (
-            "" if unit else ": of no known unit, scale = 9.81 / at rest"
-        )
-        if not axis_of_thrust(values):
-            gravity, unit = False, ""
-            why += (
-                ", in no lasting direction: gravity was taken out (along the world: frame = 'ENU')"
-            )
-        if float(np.median(values[:, 2])) < -0.5 * norm:
-            frame, why = "FRD", f"{why}, z negative: z is down"
+        unit, gravity, frame, why = _of_a_force(values)
     elif group == "command":
         asked_speed = (
             _SPEED_ASKED.search(names[0].lower()) or _unit_of(names[0]) in _UNITS["rotor_speed"]
@@ -646,12 +648,11 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         frame = "NED"
     stated = _UNITS.get(group, {}).get(_unit_of(names[0]), unit)
     if group == "specific_force" and stated != unit:
-        why = f"middle length {norm:.3g}: not gravity in that unit"
-    unit = stated
+        why = f"{why.partition(':')[0].partition(',')[0]}: not gravity in that unit"
     return Guess(
         group=group,
         fields=names,
-        unit=unit,
+        unit=stated,
         frame=frame,
         limits=limits,
         scale=scale,
