@@ -176,8 +176,8 @@ def test_the_conditioned_flight_is_that_of_the_csv_log(tmp_path: Path) -> None:
             "unknown unit 'deg'",
         ),
         (
-            'schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]\nframe = "NED"',
-            "unknown frame 'NED'",
+            'schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]\nframe = "NEU"',
+            "unknown frame 'NEU'",
         ),
         ('schema = "greybox.mapping/1"\n[rate]\nfields = ["a", "b", "c"]', "unknown field 'a'"),
         (
