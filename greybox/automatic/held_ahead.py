@@ -28,9 +28,8 @@ from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.known import NOTHING, Known
 from greybox.model.model import PhysicsModel
-from greybox.statistics.blocks import clearly
 from greybox.validation.judges import Judges
-from greybox.validation.worth import Span, Worth, seconds, worth
+from greybox.validation.worth import Span, Worth, clearly_smaller, seconds, worth
 
 UNABLE = "names rest on the likelihood alone: nothing can be fitted by errors ahead ({})"
 
@@ -199,7 +198,7 @@ def is_bent(
         return False
     old, new = judges.errors(lawful or model), judges.errors(ahead)
     gains = np.zeros(0) if old is None or new is None else seconds(old, new, span)
-    return clearly(gains) and float(gains.mean()) > least / (2.0 - least)
+    return clearly_smaller(gains, least)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,12 +12,10 @@ from greybox.errors import GreyboxError
 from greybox.estimation.result import Fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
-from greybox.statistics.blocks import clearly
-from greybox.symbolic import FloatArray
 from greybox.validation.against import TRACE
 from greybox.validation.gap import GapRow, HeldOutErrors, Squares, gap, predict_ahead
 from greybox.validation.validate import verdict_on
-from greybox.validation.worth import Span, seconds
+from greybox.validation.worth import Span, clearly_smaller, seconds
 
 _Known = weakref.WeakKeyDictionary[IdentifiedModel, dict[bool, HeldOutErrors | None]]
 """Errors without and with what has no name, as long as somebody has the model."""
@@ -72,8 +70,9 @@ class Judges:
         if not any(r.doubtful for r in self.rows(before, model)):
             return False
         own, ways = self.errors(model), (names, *([n] for n in sorted(names)))
-        bare = (self.errors(_at_null(model, some)) for some in ways)
-        return any(old and own and _grow(seconds(old, own, span)) for old in bare)
+        nulls = (_at_null(model, some) for some in ways)
+        bare = (self.errors(model.with_values(values)) for values in nulls if values)
+        return any(old and own and clearly_smaller(seconds(own, old, span), TRACE) for old in bare)
 
     def rows(
         self,
@@ -101,18 +100,10 @@ class Judges:
         )
 
 
-def _grow(changes: FloatArray) -> bool:
-    """Whether squared errors of every second, in (old - new) / (old + new), clearly grow by more
-    than a trace."""
-    return clearly(-changes) and float(changes.mean()) < -TRACE / (2.0 - TRACE)
-
-
-def _at_null(model: IdentifiedModel, names: Collection[str]) -> IdentifiedModel:
-    """The model with the effects of these names as if they were not there."""
-    return model.with_values(
-        {
-            d.name: min(max(d.null, d.lower), d.upper)
-            for d in model.dynamics.parameters
-            if d.null is not None and d.name.split(".")[0] in names
-        }
-    )
+def _at_null(model: IdentifiedModel, names: Collection[str]) -> dict[str, float]:
+    """The numbers with which effects of these names are not there; none for a sensor's noise."""
+    return {
+        d.name: min(max(d.null, d.lower), d.upper)
+        for d in model.dynamics.parameters
+        if d.null is not None and d.name.split(".")[0] in names
+    }

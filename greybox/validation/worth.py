@@ -73,6 +73,12 @@ def worth(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> Worth:
     )
 
 
+def clearly_smaller(changes: FloatArray, least: float) -> bool:
+    """Whether errors whose changes are those of `seconds` are clearly smaller, by the `least` share
+    of the squared error on average."""
+    return clearly(changes) and float(changes.mean()) > least / (2.0 - least)
+
+
 def seconds(without: HeldOutErrors, named: HeldOutErrors, span: Span) -> FloatArray:
     """Per second of flight (hundred samples of one's own model), (old - new) / (old + new) of the
     squared error within `span` ahead, mean over groups and horizons."""

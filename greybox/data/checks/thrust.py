@@ -21,6 +21,7 @@ from typing import ClassVar
 import numpy as np
 
 from greybox.data.airframe import Airframe, ThrustMap, Weighed, WithEffects
+from greybox.data.checks.acceleration import HALF_WINDOW as DIFFERENCED
 from greybox.data.checks.block_sums import BLOCKS, BlockSums
 from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
 from greybox.data.checks.relations import CLEAR, LEAST, LEFT, SEEN, jackknife
@@ -44,8 +45,6 @@ HALF_WINDOW = 0.15
 takes little of a slope then. ..."""
 SLOW = 1.0
 """... What means over twice this time show is left out: a battery that empties is no slope."""
-DIFFERENCED = 0.05
-"""A velocity from the position is its difference over twice this time [s]."""
 LARGEST_LAG = 0.15
 """Largest lag from command to thrust that is looked for [s]."""
 ZEROS = np.arange(0.0, 0.96, 0.05)
